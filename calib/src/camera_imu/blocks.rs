@@ -9,7 +9,7 @@ use super::bend::{Bend, SIZE};
 use super::effort::{BoardSize, Effort};
 use super::inertial::{AccelAxes, GyroAxes};
 use super::state::State;
-use super::{Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
+use super::{AccelDelay, Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 
 /// Standard deviation of how far the middle of an edge is bent out of the board's plane, metres.
@@ -56,8 +56,13 @@ impl Blocks {
         let clocks = self.clocks.iter().map(|b| b.id());
         let lenses = self.lenses.iter().map(|b| b.id());
         let lenses = lenses.filter(|_| config.lenses == Lenses::Refined);
-        let delay = std::iter::once(self.accel_delay.id());
+        let delay = self.delay(config);
         poses.chain(clocks).chain(lenses).chain(delay).collect()
+    }
+
+    /// The accelerometer's delay where it is searched.
+    pub fn delay(&self, config: &CameraImuConfig) -> Option<BlockId> {
+        (config.accel_delay == AccelDelay::Estimated).then_some(self.accel_delay.id())
     }
 }
 
@@ -92,18 +97,19 @@ impl State {
             accel_bias,
             gyro_axes: problem.add_block(self.gyro_axes),
             accel_axes: problem.add_block(self.accel_axes),
-            accel_delay: problem.add_block(Vector1::zeros()),
+            accel_delay: problem.add_block(Vector1::new(self.accel_delay_s)),
             gravity: problem.add_block(self.gravity),
             bend: problem.add_block(self.bend),
             timed: Vec::new(),
         };
         problem.set_name(blocks.bend.id(), "bend of the board");
         problem.set_name(blocks.accel_delay.id(), "delay of the accelerometer");
-        if effort.is_delay_searched {
-            let prior = VectorPrior::new(Vector1::zeros(), Vector1::new(ACCEL_DELAY_SIGMA_S));
-            problem.add_residual(prior, &[blocks.accel_delay.id()], Kernel::Squared)?;
-        } else {
-            problem.set_constant(blocks.accel_delay);
+        match config.accel_delay {
+            AccelDelay::Estimated => {
+                let prior = VectorPrior::new(Vector1::zeros(), Vector1::new(ACCEL_DELAY_SIGMA_S));
+                problem.add_residual(prior, &[blocks.accel_delay.id()], Kernel::Squared)?;
+            }
+            AccelDelay::Absent => problem.set_constant(blocks.accel_delay),
         }
         match config.board {
             BoardShape::Flat if size == BoardSize::AsSaid => {

@@ -35,7 +35,7 @@ impl State {
             asked.extend(blocks.of_cameras(config));
             asked
         };
-        let found = known(&problem, &asked(&blocks), None, &blocks.timed);
+        let found = known(&problem, &asked(&blocks), &blocks.timed);
         let Ok(Known {
             covariance,
             scatter,

@@ -29,8 +29,6 @@ pub(super) struct Effort {
     pub size: BoardSize,
     /// By what pixels are moved.
     pub moved: Moved,
-    /// Whether the accelerometer may measure later than the gyroscope.
-    pub is_delay_searched: bool,
 }
 
 impl Effort {
@@ -44,7 +42,6 @@ impl Effort {
             all_views: last,
             size: BoardSize::AsSaid,
             moved: Moved::Nothing,
-            is_delay_searched: false,
         }
     }
 
@@ -65,7 +62,6 @@ impl Effort {
             all_views: true,
             size: BoardSize::Searched,
             moved: Moved::Nothing,
-            is_delay_searched: true,
         }
     }
 
@@ -73,14 +69,6 @@ impl Effort {
     pub fn of_uncertainty() -> Self {
         Self {
             moved: Moved::Likely,
-            ..Self::of_delay()
-        }
-    }
-
-    /// What it takes to say what the accelerometer's delay would move.
-    pub fn of_delay() -> Self {
-        Self {
-            is_delay_searched: true,
             ..Self::of_round(0, true)
         }
     }

@@ -10,6 +10,10 @@ use crate::board::Target;
 use crate::findings;
 use crate::residual_diagnosis::Diagnosis;
 
+/// Standard deviations beyond which a delay of the accelerometer is none of chance.
+const CLEAR_DELAY: f64 = 4.0;
+/// Largest delay between the triads that filters explain, seconds.
+const WORRYING_DELAY_S: f64 = 0.01;
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
 const WORRYING_RATIO: f64 = 5.0;
 /// Coverage below which a warning is due.
@@ -131,15 +135,24 @@ pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
     ))
 }
 
-/// An accelerometer that measures later than the gyroscope, which standard deviations know.
-pub(super) fn accel_delay(delay_s: f64) -> Finding {
-    let delay_ms = delay_s * 1e3;
+/// An accelerometer that measures later than the gyroscope, where that is clear: a filter's delay is taken off, more than filters
+/// have is a fault of stamps.
+pub(super) fn accel_delay(delay_s: f64, sigma_s: f64) -> Option<Finding> {
+    if delay_s.abs() <= CLEAR_DELAY * sigma_s {
+        return None;
+    }
+    let [delay_ms, sigma_ms] = [delay_s, sigma_s].map(|s| s * 1e3);
     let what = format!(
-        "it measures about {:.1} ms {} the gyroscope, which is in the standard deviations",
+        "it measures {:.2} ± {sigma_ms:.2} ms {} the gyroscope; all else is estimated with that",
         delay_ms.abs(),
         if delay_ms > 0.0 { "after" } else { "before" }
     );
-    Finding::new("accelerometer-delay", Verdict::Pass, "accelerometer", what).value(delay_ms, "ms")
+    let limit = Limit::AtMost(WORRYING_DELAY_S * 1e3);
+    let verdict = Verdict::Warn.unless(limit.holds(delay_ms.abs()));
+    let finding = Finding::new("accelerometer-delay", verdict, "accelerometer", what);
+    Some(finding.value(delay_ms, "ms").limit(limit).remedy(
+        "stamp both triads of the IMU by one clock: filters alone do not delay one that much beside the other",
+    ))
 }
 
 /// By what a number of that name is multiplied where it is shown, and its unit then.
@@ -151,7 +164,7 @@ pub(super) fn shown_in(name: &str) -> (f64, &'static str) {
     ) {
         (_, "turn") => (1f64.to_degrees(), "°"),
         (_, "shift") => (1e3, "mm"),
-        (_, "clock" | "readout") => (1e3, "ms"),
+        (_, "clock" | "readout" | "delay") => (1e3, "ms"),
         (_, "drift") => (1e6, "ppm"),
         (_, "fx" | "fy" | "cx" | "cy") => (1.0, "px"),
         _ => (1.0, ""),

@@ -8,7 +8,7 @@
 //!
 //! - The filters of an IMU delay its two triads differently: TUM VI's accelerometer measures 1.6 ms before its gyroscope. Without a
 //!   delay between them the clocks of the cameras lie between the two, more or less as the motion has it, and so does the size of
-//!   the board. Where a delay is clear, what it moves is in the standard deviations, and the size is measured with it.
+//!   the board, and the cameras by a millimetre or two. The delay is searched with all else.
 //! - Boards are bent by a millimetre or two and have hills, lenses are decentred. Few recordings tell these from a focal length:
 //!   searched, they move it more than they mend. What they would move is found from the corners and is in the standard deviations
 //!   (`residual_diagnosis`), unless the board is said to be bent.
@@ -109,6 +109,17 @@ pub enum BoardShape {
     Bent,
 }
 
+/// What the batch knows of how much later than the gyroscope the accelerometer measures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AccelDelay {
+    /// It is searched: filters delay the two triads by up to several milliseconds, and seldom both alike.
+    #[default]
+    Estimated,
+    /// There is none, as Kalibr has it. Where there is one all the same, poses and clocks are off by more than they say.
+    Absent,
+}
+
 /// What the batch knows of rolling shutters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -130,6 +141,8 @@ pub struct CameraImuConfig {
     pub board: BoardShape,
     /// Whether scale and misalignment of the IMU are searched.
     pub axes: Axes,
+    /// Whether the accelerometer may measure later than the gyroscope.
+    pub accel_delay: AccelDelay,
     /// Whether readout times are searched.
     pub readout: Readout,
     /// Time between control points of the motion, seconds.
@@ -161,6 +174,7 @@ impl Default for CameraImuConfig {
             lenses: Lenses::Refined,
             board: BoardShape::Flat,
             axes: Axes::Ideal,
+            accel_delay: AccelDelay::Estimated,
             readout: Readout::Known,
             knot_spacing_s: 0.02,
             bias_spacing_s: 5.0,
@@ -181,6 +195,7 @@ lsfb_types::bounds! {
         lenses: any,
         board: any,
         axes: any,
+        accel_delay: any,
         readout: any,
         knot_spacing_s: number(Bounds::POSITIVE),
         bias_spacing_s: number(Bounds::POSITIVE),
@@ -267,6 +282,10 @@ pub struct FoundImu {
     /// Errors of the axes with their standard deviations, empty where they were not searched: `gyro xy` is the share of the
     /// rate about y in the sample of x.
     pub axes: Vec<Estimate>,
+    /// How much later than the gyroscope the accelerometer measures, seconds.
+    pub accel_delay_s: f64,
+    /// Its standard deviation, seconds; zero where it was not searched.
+    pub accel_delay_sigma_s: f64,
     /// Root mean square of the gyroscope's residual as a multiple of its stated noise.
     pub gyro_ratio: f64,
     /// The same of the accelerometer.

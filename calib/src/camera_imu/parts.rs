@@ -9,45 +9,28 @@ use crate::scatter::{Scatter, moved};
 /// Shortest stretch whose errors are taken to be independent of the next one's, seconds.
 const PART_S: f64 = 0.5;
 
-/// Standard deviations beyond which a delay of the accelerometer is none of chance.
-const CLEAR_DELAY: f64 = 4.0;
-
 /// How well blocks are known.
 pub(super) struct Known {
-    /// By the weights alone, whatever the delay is.
+    /// By the weights alone.
     pub covariance: Covariance,
     /// How stretches of time scatter beside that.
     pub scatter: Scatter,
     /// By how much what the models do not know would move them.
     pub bias: DVector<f64>,
-    /// How much later than the gyroscope the accelerometer measures, seconds, where that is asked for and clear.
-    pub delay_s: Option<f64>,
 }
 
-/// What a problem that knows more than the models of lenses and board says of blocks at the values found without. `delay` is the
-/// accelerometer's, one more thing that the models do not know: hardly an IMU has none, whether it is clear or not.
+/// What a problem that knows more than the models of lenses and board says of blocks at the values found without.
 pub(super) fn known(
     problem: &Problem,
     blocks: &[BlockId],
-    delay: Option<BlockId>,
     timed: &[(f64, ResidualId)],
 ) -> Result<Known, Error> {
-    let asked: Vec<BlockId> = blocks.iter().copied().chain(delay).collect();
-    let all = stretches(problem, &asked, timed)?;
-    let mut found = Known {
+    let all = stretches(problem, blocks, timed)?;
+    Ok(Known {
         scatter: all.scatter(),
         covariance: all.covariance,
         bias: all.step,
-        delay_s: None,
-    };
-    if delay.is_some() {
-        let row = found.bias.len() - 1;
-        let sigma = found.covariance.joint()[(row, row)].max(0.0).sqrt();
-        let sigma_s = sigma * found.scatter.factors(row + 1)[row];
-        let delay_s = found.bias[row];
-        found.delay_s = (delay_s.abs() > CLEAR_DELAY * sigma_s).then_some(delay_s);
-    }
-    Ok(found)
+    })
 }
 
 /// What stretches of time say of blocks.

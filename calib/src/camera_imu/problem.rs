@@ -68,6 +68,7 @@ impl State {
         self.gyro_axes = problem.value(blocks.gyro_axes);
         self.accel_axes = problem.value(blocks.accel_axes);
         self.gravity = vector(&blocks.gravity);
+        self.accel_delay_s = problem.value(blocks.accel_delay).x;
         self.bend = problem.value(blocks.bend);
         Ok(())
     }
@@ -209,6 +210,11 @@ impl State {
             let ids = [&motion[..ORDER], &last].concat();
             let id = problem.add_residual(gyro, &ids, Kernel::Squared)?;
             blocks.timed.push((sample.time_s, id));
+            // Where the motion was when it measured.
+            let Some(segment) = self.segment(sample.time_s - self.accel_delay_s) else {
+                continue;
+            };
+            let motion = blocks.motion(segment.first);
             let accelerometer = Accelerometer {
                 time_in_segment_s: sample.time_s - self.segment_start_s(&segment),
                 spacing_s: self.motion.knots.spacing_s,

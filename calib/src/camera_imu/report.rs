@@ -83,7 +83,10 @@ impl State {
             findings.extend(self.camera_findings(target, k, camera));
         }
         findings.extend(judgement::halves(&uncertainty.halves));
-        findings.extend(uncertainty.accel_delay_s.map(judgement::accel_delay));
+        findings.extend(judgement::accel_delay(
+            self.accel_delay_s,
+            uncertainty.accel_delay_s,
+        ));
         let middle = self.middle_bias();
         let axes = match config.axes {
             Axes::Ideal => vec![],
@@ -104,6 +107,8 @@ impl State {
                 gyro_matrix: gyro_matrix(&self.gyro_axes),
                 accel_matrix: accel_matrix(&self.accel_axes),
                 axes,
+                accel_delay_s: self.accel_delay_s,
+                accel_delay_sigma_s: uncertainty.accel_delay_s,
                 gyro_ratio: inertial.ratio[0],
                 accel_ratio: inertial.ratio[1],
                 gyro_histogram,
@@ -325,19 +330,18 @@ impl State {
         let mut jitter = Jitter::default();
         let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
         for sample in &self.samples {
-            let Some(At {
-                rotation: r,
-                position: p,
-            }) = self.at(sample.time_s)
-            else {
+            // Each triad where the motion was when it measured.
+            let times = [sample.time_s, sample.time_s - self.accel_delay_s];
+            let [Some(at), Some(forced)] = times.map(|time_s| self.at(time_s)) else {
                 continue;
             };
+            let rate = at.rotation.angular_velocity;
             let (first, share) = self.bias_place(sample.time_s);
             let bias = |b: &[Vector3<f64>]| b[first] + (b[first + 1] - b[first]) * share;
-            let force = r.rotation.inverse() * (p.acceleration - self.gravity);
+            let force =
+                forced.rotation.rotation.inverse() * (forced.position.acceleration - self.gravity);
             let errors = [
-                (matrices[0] * r.angular_velocity + bias(&self.gyro_bias) - sample.gyro)
-                    / self.gyro_sigma,
+                (matrices[0] * rate + bias(&self.gyro_bias) - sample.gyro) / self.gyro_sigma,
                 (matrices[1] * force + bias(&self.accel_bias) - sample.accel) / self.accel_sigma,
             ];
             let ends = [&sample.gyro_saturated, &sample.accel_saturated];

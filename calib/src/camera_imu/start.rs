@@ -158,6 +158,7 @@ impl State {
             bias_spacing_s: (end_s - start_s) / spans,
             gyro_axes: GyroAxes::zeros(),
             accel_axes: AccelAxes::zeros(),
+            accel_delay_s: 0.0,
             gravity,
             bend: Bend::zeros(),
             middle_s: 0.5 * (start_s + end_s),

@@ -66,6 +66,8 @@ pub(super) struct State {
     pub bias_spacing_s: f64,
     pub gyro_axes: GyroAxes,
     pub accel_axes: AccelAxes,
+    /// How much later than the gyroscope the accelerometer measures, seconds.
+    pub accel_delay_s: f64,
     pub gravity: Vector3<f64>,
     pub bend: Bend,
     /// Time at which the offsets of the clocks hold, seconds after the origin.

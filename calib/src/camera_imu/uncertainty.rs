@@ -21,7 +21,7 @@ use crate::residual_diagnosis::FREED;
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointCovariance {
     /// What each row is: `cam0 turn x`, `cam0 shift x`, `cam0 clock`, `cam0 drift`, `cam0 fx`, `cam0 readout`, `gyroscope bias x`,
-    /// `accelerometer bias x`, `gravity x`; cameras by name.
+    /// `accelerometer bias x`, `gravity x`, `accelerometer delay`; cameras by name.
     pub names: Vec<String>,
     /// The covariance, in SI units and pixels.
     pub matrix: DMatrix<f64>,
@@ -43,8 +43,8 @@ pub(super) struct Uncertainty {
     pub gyro_bias: Vector3<f64>,
     pub accel_bias: Vector3<f64>,
     pub gravity: Vector3<f64>,
-    /// How much later than the gyroscope the accelerometer measures, seconds, where that is clear.
-    pub accel_delay_s: Option<f64>,
+    /// Of how much later than the gyroscope the accelerometer measures, seconds; zero where it was not searched.
+    pub accel_delay_s: f64,
     /// Covariance of the bend; zero where it was not searched.
     pub bend: SMatrix<f64, BEND, BEND>,
     /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
@@ -66,16 +66,10 @@ impl State {
         let (problem, blocks) = self.problem(config, Effort::of_uncertainty())?;
         let named = self.named(&blocks, config);
         let ids = asked(&named, &blocks, config);
-        let delay = Some(blocks.accel_delay.id());
-        let known = known(&problem, &ids, delay, &blocks.timed)?;
-        // What two causes would move adds up like independent errors: they may as well not cancel.
-        let by_delay = self.moved_by_delay(config)?;
-        let by_field = &known.bias - &by_delay;
-        let unmodelled = by_delay.zip_map(&by_field, f64::hypot);
+        let known = known(&problem, &ids, &blocks.timed)?;
         let factors = known.scatter.factors(known.bias.len());
-        let found = known.covariance.widened(&factors, &by_delay);
-        let mut found = found.widened(&[], &by_field);
-        let mut unmodelled = unmodelled;
+        let mut found = known.covariance.widened(&factors, &known.bias);
+        let mut unmodelled = known.bias.abs();
         let of = |blocks: &Blocks| asked(&self.named(blocks, config), blocks, config);
         // Poses and clocks rest on the IMU as well, lenses on the board alone.
         let is_lens: Vec<bool> = named
@@ -127,7 +121,7 @@ impl State {
             gyro_bias: vector(blocks.gyro_bias[middle].id()),
             accel_bias: vector(blocks.accel_bias[middle].id()),
             gravity: vector(blocks.gravity.id()),
-            accel_delay_s: known.delay_s,
+            accel_delay_s: blocks.delay(config).map_or(0.0, scalar),
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
                 .map_or_else(SMatrix::zeros, |c| {
@@ -140,15 +134,6 @@ impl State {
             joint: rows_with_names(&named, found.joint()),
             halves: self.halves(config, &unmodelled)?,
         })
-    }
-
-    /// By how much the accelerometer's delay alone would move what is asked for, and the delay itself.
-    fn moved_by_delay(&self, config: &CameraImuConfig) -> Result<DVector<f64>, Error> {
-        let (problem, blocks) = self.problem(config, Effort::of_delay())?;
-        let named = self.named(&blocks, config);
-        let mut ids = asked(&named, &blocks, config);
-        ids.push(blocks.accel_delay.id());
-        Ok(influences(&problem, &ids, &[])?.step)
     }
 
     /// By how much what is not known of lens and board would move blocks, one direction after the other: what it is likely to be is
@@ -220,6 +205,8 @@ impl State {
         ] {
             named.push((block.id(), along(what).to_vec()));
         }
+        let delay = blocks.delay(config);
+        named.extend(delay.map(|id| (id, vec![Some("accelerometer delay".to_owned())])));
         named
     }
 }
