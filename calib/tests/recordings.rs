@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
 use lsfb_calib::camera_imu::{
-    CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
+    AccelDelay, CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
 };
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
@@ -187,30 +187,46 @@ fn tum_vi_stereo_and_imu() {
     let known = with_own_lenses(both, &lenses);
     let noise = TUM_VI_IMU_NOISE;
     let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
-    let config = CameraImuConfig::default();
-    let found = calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
-        .expect("calibrated");
+    let found_with = |accel_delay: AccelDelay| {
+        let config = CameraImuConfig {
+            accel_delay,
+            ..CameraImuConfig::default()
+        };
+        calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
+            .expect("calibrated")
+    };
+    let official = official(&folder.join("../reference_calibration.json"));
+    // The official places are Kalibr's, which knows no delay of the accelerometer. This one measures 1.6 ms early, also by what
+    // `lsfb vio` finds without a board; left out, that moves cameras by three millimetres (`an_accelerometer_that_measures_before…`).
+    let (as_kalibr, found) = (
+        found_with(AccelDelay::Absent),
+        found_with(AccelDelay::Estimated),
+    );
+    for (found, most_m) in [(&as_kalibr, 2e-3), (&found, 3e-3)] {
+        for (c, official) in found.cameras.iter().zip(&official) {
+            let off = c.camera_from_rig * official.inverse();
+            let turn_deg = off.rotation.angle().to_degrees();
+            let place_m =
+                (c.camera_from_rig.inverse().translation - official.inverse().translation).norm();
+            println!(
+                "{}: {:.3} px, from the official ones {turn_deg:.3}°, {:.2} mm, {:.3} ms",
+                c.name,
+                c.rms_px,
+                place_m * 1e3,
+                c.rig_from_camera_s * 1e3
+            );
+            assert!(c.rms_px <= 0.2, "{}", c.rms_px);
+            assert!(turn_deg <= 0.1, "{turn_deg}°");
+            assert!(place_m <= most_m, "{place_m} m, at most {most_m} m");
+            // Official stamps need no offset.
+            assert!(c.rig_from_camera_s.abs() <= 5e-4);
+        }
+    }
     let problem = found.findings.iter().find(|f| f.verdict > Verdict::Pass);
     assert_eq!(problem, None);
-    let official = official(&folder.join("../reference_calibration.json"));
-    for (c, official) in found.cameras.iter().zip(official) {
-        let off = c.camera_from_rig * official.inverse();
-        let turn_deg = off.rotation.angle().to_degrees();
-        let place_m =
-            (c.camera_from_rig.inverse().translation - official.inverse().translation).norm();
-        println!(
-            "{}: {:.3} px, from the official ones {turn_deg:.3}°, {:.2} mm, {:.3} ms",
-            c.name,
-            c.rms_px,
-            place_m * 1e3,
-            c.rig_from_camera_s * 1e3
-        );
-        assert!(c.rms_px <= 0.2, "{}", c.rms_px);
-        assert!(turn_deg <= 0.1, "{turn_deg}°");
-        assert!(place_m <= 2e-3, "{place_m} m");
-        // Official stamps need no offset.
-        assert!(c.rig_from_camera_s.abs() <= 5e-4);
-    }
+    let delay_ms = found.imu.accel_delay_s * 1e3;
+    println!("delay {delay_ms:.3} ms");
+    assert!((-1.8..-1.4).contains(&delay_ms), "{delay_ms} ms");
     let rms_m = from_mocap_m(&found, &folder.join("mocap0/data.csv"));
     println!("motion against mocap: {:.2} mm rms", rms_m * 1e3);
     assert!(rms_m <= 0.01, "{rms_m} m");
