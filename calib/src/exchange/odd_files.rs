@@ -248,3 +248,54 @@ fn a_principal_point_outside_the_image_is_remarked() {
         "{notes:?}"
     );
 }
+
+/// Numbers that are read, and are no camera's.
+#[test]
+fn lenses_that_do_not_exist_are_remarked() {
+    for (from, to, words) in [
+        (
+            "[458.6, 457.3, 367.2, 248.4]",
+            "[367.2, 248.4, 458.6, 457.3]",
+            "pixels are square",
+        ),
+        (
+            "[752, 480]",
+            "[480, 752]",
+            "far from the middle of an image of 480 × 752 px",
+        ),
+        ("[752, 480]", "[1504, 960]", "far from the middle"),
+        (
+            "0.0002, 0.00002]",
+            "0.05, 0.3]",
+            "the order of the coefficients",
+        ),
+    ] {
+        assert!(CHAIN.contains(from), "{from}");
+        let found = import_kalibr(&CHAIN.replace(from, to), "chain.yaml").expect("a chain");
+        let notes = implausible(&found.rig);
+        assert!(
+            notes.iter().any(|n| n.contains(words)),
+            "{words}: {notes:?}"
+        );
+    }
+}
+
+#[test]
+fn files_of_other_programs_are_named_instead_of_read_as_chains() {
+    for (text, words) in [
+        (
+            "%YAML:1.0\nimu: 1\nnum_of_cam: 2\nbody_T_cam0: !!opencv-matrix\n   rows: 4\n",
+            "VINS-Fusion",
+        ),
+        (
+            "%YAML:1.0\nFile.version: \"1.0\"\nCamera1.fx: 458.6\n",
+            "ORB-SLAM",
+        ),
+        (INFO, "import ros"),
+        ("accelerometer_noise_density: 2.0e-3\n", "an IMU's file"),
+        ("left:\n  intrinsics: [1, 2]\n", "whose keys are cam0"),
+    ] {
+        let error = refused(import_kalibr(text, "x.yaml"));
+        assert!(error.contains(words), "{error}");
+    }
+}

@@ -1,5 +1,6 @@
 //! Rigs whose numbers are right only in other units.
 
+use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{ImuNoiseModel, Rig};
 
 /// Farther than this from the rig's origin no sensor of a rig that is carried is, metres.
@@ -8,6 +9,12 @@ const FARTHEST_M: f64 = 3.0;
 const LATEST_S: f64 = 1.0;
 /// Focal lengths of lenses that exist, as shares of the image's width.
 const FOCAL_SHARES: std::ops::Range<f64> = 0.1..20.0;
+/// Focal lengths along both axes of an image differ by no more, as a factor: pixels are square.
+const SQUARE_PIXELS: f64 = 1.05;
+/// A principal point is no farther from the middle, as a share of the image's size. Images that were cropped on one side are.
+const OFF_CENTRE: f64 = 0.2;
+/// Tangential coefficients of lenses that exist are smaller.
+const MOST_TANGENTIAL: f64 = 0.05;
 /// Noise densities of IMUs that exist, from the best to the worst: rad/s/√Hz, m/s²/√Hz.
 const GYRO_DENSITIES: std::ops::Range<f64> = 1e-7..0.1;
 const ACCEL_DENSITIES: std::ops::Range<f64> = 1e-6..1.0;
@@ -29,11 +36,29 @@ pub fn implausible(rig: &Rig) -> Vec<String> {
             ));
         }
         let [width, height] = [mounted.camera.width, mounted.camera.height].map(f64::from);
-        let [focal_px, _] = mounted.camera.focal_px();
+        let [focal_px, focal_y_px] = mounted.camera.focal_px();
+        let longer = (focal_px / focal_y_px).max(focal_y_px / focal_px);
+        if longer > SQUARE_PIXELS {
+            notes.push(format!(
+                "{name}: focal lengths of {focal_px} and {focal_y_px} px: pixels are square, was the order of the numbers another, or were the images stretched?"
+            ));
+        }
         let [x, y] = mounted.camera.principal_px();
         if !((0.0..width).contains(&x) && (0.0..height).contains(&y)) {
             notes.push(format!(
                 "{name}: a principal point at ({x:.1}, {y:.1}) px, outside an image of {width} × {height} px: width and height swapped, the order of the numbers, or the lens of another image size"
+            ));
+        } else if (x / width - 0.5).abs().max((y / height - 0.5).abs()) > OFF_CENTRE {
+            notes.push(format!(
+                "{name}: a principal point at ({x:.1}, {y:.1}) px, far from the middle of an image of {width} × {height} px: width and height swapped, the order of the numbers, the lens of another image size, or cropped images"
+            ));
+        }
+        if let Lens::PinholeRadtan { distortion, .. } = mounted.camera.lens
+            && let [_, _, p1, p2, _] = distortion
+            && p1.abs().max(p2.abs()) > MOST_TANGENTIAL
+        {
+            notes.push(format!(
+                "{name}: tangential distortion of {p1} and {p2}, which no lens has: is the order of the coefficients k1, k2, p1, p2?"
             ));
         }
         if !FOCAL_SHARES.contains(&(focal_px / width)) {

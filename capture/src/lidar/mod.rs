@@ -265,7 +265,8 @@ impl LidarStream {
             + self.without_return.stretches()
             + self.sight.stretches()
             + u64::from(self.was_blind())
-            + u64::from(self.was_stuck());
+            + u64::from(self.was_stuck())
+            + u64::from(self.was_standing());
         let problem = if self.are_two() {
             Some(TWO_SENSORS)
         } else if self.set_hz().is_some_and(|hz| self.turns.misses(hz)) {
@@ -390,6 +391,15 @@ impl LidarStream {
         let counters = self.decoder.counters();
         self.has_ended
             && counters.duplicates > MOST_COPIES * counters.packets.max(1)
+            && self.without_scan.stretches() == 0
+    }
+
+    /// Whether it has ended, after less than what counts as a stretch, and all its scans but the last were no turn.
+    fn was_standing(&self) -> bool {
+        let counters = self.decoder.counters();
+        self.has_ended
+            && counters.overlong > 0
+            && counters.overlong + 1 >= counters.scans
             && self.without_scan.stretches() == 0
     }
 

@@ -113,8 +113,26 @@ fn a_short_recording_of_a_lidar_that_is_dead_is_not_healthy() {
     assert_stale(&blind, "lidar", "not a single return");
     let stands = lidar_of(MILLIS, |n| mock::lidar_packet(n.min(5)));
     assert_stale(&stands, "lidar", "the sensor's clock stands");
+    let still = lidar_of(400, |n| with_azimuths(n, |_| 10_000));
+    assert_stale(&still, "lidar", "1 scans without a full turn of the rotor");
     let good = lidar_of(MILLIS, mock::lidar_packet);
     assert_eq!(good.lost, 0, "{good:?}");
+}
+
+/// A packet whose rotor trembles about where packet `last` was sent: its blocks turn forward, and the next packet's do so again.
+fn trembling_after(last: u64, n: u64) -> Vec<u8> {
+    with_azimuths(n, |block| block_azimuth(last.min(n), block))
+}
+
+fn block_azimuth(n: u64, block: usize) -> u16 {
+    DataPacket::new(mock::lidar_packet(n)).unwrap().azimuth_centideg(block)
+}
+
+/// Packet `n`, its time as it was, with other azimuths.
+fn with_azimuths(n: u64, azimuth_centideg: impl Fn(usize) -> u16) -> Vec<u8> {
+    let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
+    (0..12).for_each(|block| packet.set_azimuth_centideg(block, azimuth_centideg(block)));
+    packet.into_inner()
 }
 
 /// Two halves of a capture in the wrong order, and one in which the host's clock was set.
@@ -173,14 +191,7 @@ fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
 /// Once healthy: packets come at their rate with new times, and the azimuths that jump back make each of them look like a scan.
 #[test]
 fn a_lidar_whose_rotor_stands_is_not_healthy() {
-    let stands = lidar(|n| {
-        let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
-        let last_turned = DataPacket::new(mock::lidar_packet(n.min(300))).unwrap();
-        for block in 0..12 {
-            packet.set_azimuth_centideg(block, last_turned.azimuth_centideg(block));
-        }
-        packet.into_inner()
-    });
+    let stands = lidar(|n| trembling_after(300, n));
     assert_stale(&stands, "lidar", "no scan of a full turn");
 }
 

@@ -11,8 +11,10 @@ use crate::Decoded;
 pub(crate) const HOUR_NS: i64 = 3_600_000_000_000;
 /// One turn in hundredths of a degree.
 pub const TURN_CENTIDEG: u16 = 36_000;
-/// The slowest motor settings, 300 rpm, turn in 0.2 s: a longer scan means a stopped rotor.
-const LONGEST_SCAN_NS: i64 = 1_000_000_000;
+/// The slowest motor settings, 300 rpm, turn in 0.2 s: a longer scan means a stopped rotor, or blocks that are missing.
+const LONGEST_SCAN_NS: i64 = 300_000_000;
+/// Between blocks of a packet, and from packet to packet, lie at most a few milliseconds: after more, blocks are missing.
+const SILENCE_NS: i64 = 50_000_000;
 /// Encoder jitter around a stop may step back this far.
 const JITTER_CENTIDEG: u16 = 30;
 
@@ -28,6 +30,8 @@ pub(crate) struct ScanBuilder {
 
 struct Building {
     first_ns: i64,
+    /// Time of the last block.
+    last_ns: i64,
     arrival: Timestamp,
     points: Vec<LidarPoint>,
 }
@@ -62,9 +66,11 @@ impl ScanBuilder {
         self.cut_before(azimuth_centideg, fired_ns, counters);
         let scan = self.scan.get_or_insert_with(|| Building {
             first_ns: fired_ns.rem_euclid(HOUR_NS),
+            last_ns: fired_ns,
             arrival,
             points: Vec::with_capacity(self.usual_points),
         });
+        scan.last_ns = fired_ns;
         Block {
             offset_ns: (fired_ns - scan.first_ns).rem_euclid(HOUR_NS) as u32,
             points: &mut scan.points,
@@ -76,7 +82,8 @@ impl ScanBuilder {
         if let Some(scan) = &self.scan
             && (time_ns - scan.first_ns).rem_euclid(HOUR_NS) > LONGEST_SCAN_NS
         {
-            counters.overlong += 1;
+            let silence_ns = (time_ns - scan.last_ns).rem_euclid(HOUR_NS);
+            counters.overlong += u64::from(silence_ns < SILENCE_NS);
             self.flush(counters);
         }
         let Some(previous) = self.previous_azimuth else {

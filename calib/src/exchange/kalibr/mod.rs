@@ -33,6 +33,10 @@ struct ImuFile {
 /// Reads a camera chain, with or without the IMU; `path` names it in errors. Where no pose to an IMU is given the first camera
 /// is the origin.
 pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
+    let keys: Others = yaml::read(text, path)?;
+    if let Some(problem) = no_chain(&keys) {
+        return Err(parse_error(path, problem));
+    }
     let chain: BTreeMap<String, Link> = yaml::read(text, path)?;
     let mut links: Vec<(u32, Link)> = Vec::new();
     for (name, link) in chain {
@@ -86,6 +90,36 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
         false => PosesOf::FirstCamera,
     };
     Ok(ImportedRig { rig, poses, notes })
+}
+
+/// Why a file with these keys is no camera chain, where none of them is a camera's.
+fn no_chain(keys: &Others) -> Option<String> {
+    let is_camera = |key: &String| {
+        let number = key.strip_prefix("cam");
+        number.is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    if keys.is_empty() || keys.keys().any(is_camera) {
+        return None;
+    }
+    let has = |words: &[&str]| keys.keys().any(|key| words.iter().any(|w| key.contains(w)));
+    let looks_like = match () {
+        () if has(&["body_T_cam", "num_of_cam"]) => {
+            "; these are settings of VINS-Fusion, which names its cameras' files: `lsfb calib import ros` reads those in OpenCV's form"
+        }
+        () if has(&["Camera.fx", "Camera1.fx", "Camera.type", "ORBextractor"]) => {
+            "; these are settings of ORB-SLAM, which are not read"
+        }
+        () if has(&["noise_density"]) => {
+            "; this is an IMU's file, which comes after the chain or with --rig"
+        }
+        () if has(&["camera_matrix", "distortion_coefficients"]) || keys.contains_key("K") => {
+            "; this is a lens as ROS and OpenCV write it: `lsfb calib import ros`"
+        }
+        () => "",
+    };
+    Some(format!(
+        "no camera chain of Kalibr or OpenVINS, whose keys are cam0, cam1 and so on{looks_like}"
+    ))
 }
 
 /// Reads the noise of an IMU: the file that Kalibr is given, which is flat, or that of its calibration, which names the IMU first.

@@ -29,6 +29,8 @@ use super::save::BARE_LINK;
 use crate::Error;
 
 const PCAPNG_MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
 const LINUX_SLL_LEN: usize = 16;
 
 /// UDP payloads of a capture, in its order, as fast as they are asked for.
@@ -59,16 +61,17 @@ impl PcapSource {
         };
         let mut file = File::open(path).map_err(opened)?;
         let mut magic = [0; 4];
-        let is_pcapng = match file.read_exact(&mut magic) {
-            Ok(()) => magic == PCAPNG_MAGIC,
-            Err(_) => {
-                return Err(damaged(
-                    path,
-                    "byte 0".into(),
-                    "too short for a capture".into(),
-                ));
-            }
+        let problem = match file.read_exact(&mut magic) {
+            Err(_) if path.is_dir() => Some("this is a folder: name the capture in it"),
+            Err(_) => Some("too short for a capture"),
+            Ok(()) if magic.starts_with(&GZIP_MAGIC) => Some("compressed: unpack it with gunzip"),
+            Ok(()) if magic == ZSTD_MAGIC => Some("compressed: unpack it with unzstd"),
+            Ok(()) => None,
         };
+        if let Some(problem) = problem {
+            return Err(damaged(path, "byte 0".into(), problem.into()));
+        }
+        let is_pcapng = magic == PCAPNG_MAGIC;
         file.seek(SeekFrom::Start(0)).map_err(opened)?;
         let no_capture = |error: PcapError| {
             damaged(

@@ -262,6 +262,13 @@ fn damaged_files_say_where_and_give_what_came_before() {
         .unwrap()
         .to_string();
     assert!(error.contains("neither pcap nor pcapng"), "{error}");
+    let mut packed = tempfile::NamedTempFile::new().unwrap();
+    packed.write_all(&[0x1F, 0x8B, 8, 0, 0, 0]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for (path, words) in [(packed.path(), "gunzip"), (folder.path(), "a folder")] {
+        let error = PcapSource::open(path, &[]).err().unwrap().to_string();
+        assert!(error.contains(words), "{error}");
+    }
     let missing = PcapSource::open(Path::new("/no/such/file.pcap"), &[])
         .err()
         .unwrap()

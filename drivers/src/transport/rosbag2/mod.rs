@@ -74,11 +74,15 @@ impl Rosbag2Source {
             problem,
         };
         // sqlite would report a missing file without its cause.
-        std::fs::metadata(path).map_err(|cause| Error::Open {
+        let metadata = std::fs::metadata(path).map_err(|cause| Error::Open {
             device: path.display().to_string(),
             action: "open",
             cause,
         })?;
+        if metadata.is_dir() {
+            let problem = "this is a folder: name the .db3 file in it, or its .mcap with --mcap";
+            return Err(damaged("the start", problem.to_owned()));
+        }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
             .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;

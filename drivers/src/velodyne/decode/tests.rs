@@ -351,8 +351,9 @@ fn a_stopped_rotor_does_not_grow_one_scan_for_ever() {
     let mut twin = Twin::new(0);
     twin.rate_centideg_s = 0.0;
     let run = run(DecoderConfig::default(), &twin.packets(4_000));
-    assert_eq!(run.counters.overlong, 2);
-    assert_eq!(run.scans.len(), 3);
+    // 2.65 s, in scans of 0.3 s.
+    assert_eq!(run.counters.overlong, 8);
+    assert_eq!(run.scans.len(), 9);
     assert_eq!(run.counters.points, 4_000 * 384);
 }
 
