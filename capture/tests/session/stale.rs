@@ -125,7 +125,9 @@ fn trembling_after(last: u64, n: u64) -> Vec<u8> {
 }
 
 fn block_azimuth(n: u64, block: usize) -> u16 {
-    DataPacket::new(mock::lidar_packet(n)).unwrap().azimuth_centideg(block)
+    DataPacket::new(mock::lidar_packet(n))
+        .unwrap()
+        .azimuth_centideg(block)
 }
 
 /// Packet `n`, its time as it was, with other azimuths.
