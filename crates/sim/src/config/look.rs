@@ -16,7 +16,7 @@ pub enum Look {
 
 impl Look {
     /// Whether it need not be written with the settings.
-    pub(super) fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         *self == Self::Plain
     }
 }
