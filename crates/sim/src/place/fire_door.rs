@@ -12,6 +12,8 @@ use crate::world::material::Material;
 const BEFORE_M: f64 = 1.0;
 /// How long before they turn at the door ways begin, metres: whoever walks a short part sees it.
 const APPROACH_M: f64 = 6.0;
+/// Share of the speed on the straight that a scanner surely makes, bends and rests included.
+const PACE: f64 = 0.5;
 /// Thickness of its leaves, metres.
 const LEAF_M: f32 = 0.06;
 
@@ -36,13 +38,13 @@ pub(super) fn close(site: &mut Site, config: &SimConfig) {
     site.plan.closed = Some(doors[number]);
 }
 
-/// The scanner's way, as far as it goes.
+/// The scanner's way, as far as it surely goes.
 fn scanned(config: &SimConfig) -> Vec<[f64; 3]> {
     let mut way = route(config.place, Route::Scan);
     way.extend(way.first().copied());
     let mut left_m = match config.scan.duration_s {
         0.0 => f64::INFINITY,
-        seconds => seconds * config.scan.speed_m_s,
+        seconds => PACE * seconds * config.scan.speed_m_s,
     };
     let mut part = Vec::new();
     for pair in way.windows(2) {

@@ -394,3 +394,39 @@ fn ways_stay_on_one_side_of_a_door() {
     let above: Vec<[f64; 3]> = vec![[0.0, 0.0, 4.0], [10.0, 0.0, 4.0], [10.0, 8.0, 4.0]];
     assert_eq!(this_side(&door, above.clone()), above);
 }
+
+/// Night, a closed door, a crowd, things moved, traced light: all at once; and the demo's place in traced light.
+#[test]
+fn conditions_combine() {
+    let seen = |config: &SimConfig| {
+        let simulation = Simulation::new(config, &no_progress).expect("valid");
+        let image = simulation.glasses().image(simulation.world(), 0, 60);
+        image.expect("camera").sample
+    };
+    let mean = |image: &lsfb_types::Image| {
+        let sum: u64 = image.pixels.iter().map(|p| u64::from(*p)).sum();
+        sum / image.pixels.len() as u64
+    };
+    let mut config = SimConfig {
+        fire_door: true,
+        crowd: 5,
+        months_later: 6,
+        off_path_m: 6.0,
+        ..coarse(Place::WideCorridor)
+    };
+    (
+        config.light.baked,
+        config.light.spacing_m,
+        config.light.paths,
+    ) = (true, 0.5, 8);
+    let day = seen(&config);
+    config.night = true;
+    let night = seen(&config);
+    assert!(night.exposure_ns > day.exposure_ns && night.pixels != day.pixels);
+    assert!(mean(&night) > 10, "not all is black");
+    let demo = SimConfig {
+        light: config.light.clone(),
+        ..coarse(Place::Demo)
+    };
+    assert!((40..200).contains(&mean(&seen(&demo))));
+}

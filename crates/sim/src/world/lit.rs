@@ -6,7 +6,7 @@ use lsfb_types::ProgressFn;
 
 use super::builder::Surface;
 use super::crowd::Stroll;
-use super::facet::Facet;
+use super::facet::{Facet, Outline};
 use super::irradiance::{
     Baked, Baking, Found, Optics, PointLight, Probes, Scene, Spot, SunDisc, bake, key, path, read,
     write,
@@ -227,7 +227,7 @@ fn exitance_lx(optics: &Optics) -> f32 {
 
 fn optics_of(surfaces: &[Surface], sky: Sky) -> Vec<(Facet, Optics)> {
     let outside = sky.sun().is_some();
-    let optics = |material: &Material| Optics {
+    let optics = |material: &Material, is_leaf: bool| Optics {
         albedo: material.tone.clamp(0.02, 0.95),
         luminance_cd_m2: match material.substance {
             Substance::Glass if outside && material.luminance_cd_m2 > 0.0 => {
@@ -237,8 +237,10 @@ fn optics_of(surfaces: &[Surface], sky: Sky) -> Vec<(Facet, Optics)> {
         },
         glass: material.glass,
         backdrop: material.is_backdrop(),
+        leaf: is_leaf && material.substance == Substance::Leaves,
     };
-    let with = |s: &Surface| (s.facet, optics(&s.material));
+    let is_leaf = |facet: &Facet| facet.outline() == Outline::Triangle;
+    let with = |s: &Surface| (s.facet, optics(&s.material, is_leaf(&s.facet)));
     surfaces.iter().map(with).collect()
 }
 

@@ -175,10 +175,16 @@ mod tests {
     /// Shot noise of a bright pixel, read noise of a dark one, from the same electrons: 8 000 at white, 500 when they are amplified by 16.
     #[test]
     fn noise_in_the_dark_is_that_of_electrons() {
-        for (value, amplification) in [(200.0_f32, 1.0_f32), (200.0, 16.0), (60.0, 16.0)] {
+        // So many deviations up and down that grey levels are fine enough.
+        for (value, amplification, many) in [
+            (200.0_f32, 1.0_f32, 10.0),
+            (200.0, 16.0, 8.0),
+            (60.0, 16.0, 3.0),
+        ] {
             let linear =
                 |normal: f32| (f32::from(developed(value, amplification, normal)) / 255.0).powi(2);
-            let deviation = 0.5 * (linear(1.0) - linear(-1.0)) * 8000.0 / amplification;
+            let apart = 0.5 * (linear(many) - linear(-many)) / many;
+            let deviation = apart * 8000.0 / amplification;
             let electrons = (value / 255.0).powi(2) * 8000.0 / amplification;
             let expected = (electrons + 25.0).sqrt();
             assert!(
@@ -187,7 +193,7 @@ mod tests {
             );
         }
         // Of black, half the pixels show the noise of reading it: 5 of 500 electrons are a tenth of white's level.
-        assert_eq!(developed(0.0, 16.0, 1.0), 25);
+        assert!((25..=26).contains(&developed(0.0, 16.0, 1.0)));
         assert_eq!(developed(0.0, 16.0, -1.0), 0);
     }
 

@@ -47,9 +47,10 @@ pub(super) fn decode(bytes: &[u8], values: Values) -> Result<Canvas, String> {
         let mut reader = decoder
             .read_info()
             .map_err(|e| format!("a PNG picture: {e}"))?;
+        let (w, h) = reader.info().size();
         let size = reader
             .output_buffer_size()
-            .filter(|size| *size <= 4 * MOST_PIXELS)
+            .filter(|_| u64::from(w) * u64::from(h) <= MOST_PIXELS as u64)
             .ok_or("a PNG picture is too large")?;
         let mut pixels = vec![0; size];
         let info = reader

@@ -163,7 +163,7 @@ fn pictures_have_a_size_within_reason() {
         drop(writer);
         bytes
     };
-    let read = |bytes: &[u8], values| picture::decode(bytes, values);
+    let read = |bytes: &[u8], values| decode(bytes, values);
     assert!(read(&png(1, 5), Values::Shown).is_err());
     assert!(read(&png(9000, 9000), Values::Shown).is_err_and(|e| e.contains("too large")));
     let value = |values| read(&png(4, 4), values).expect("picture").values[0];

@@ -67,6 +67,7 @@ pub(crate) fn key(
             facet.outline() == Outline::Triangle,
             optics.glass,
             optics.backdrop,
+            optics.leaf,
         ];
         put(&flags.map(|flag| f32::from(u8::from(flag))));
         put(&[optics.albedo, optics.luminance_cd_m2]);
