@@ -195,6 +195,8 @@ fn in_light(finish: &Finish, triangle: &Triangle, pictures: &[Canvas]) -> Seen {
         optics: Optics {
             albedo,
             luminance_cd_m2,
+            // Nothing lights it; painted skies are so, and the sun shines through them.
+            backdrop: finish.unlit,
             ..Optics::default()
         },
     }
