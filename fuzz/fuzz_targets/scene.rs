@@ -2,7 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_sim::World;
+use lsfb_sim::{LightConfig, World};
+use lsfb_types::no_progress;
 
 fuzz_target!(|data: &[u8]| {
     let path = std::env::temp_dir().join(format!("lsfb-fuzz-{}.glb", std::process::id()));
@@ -18,7 +19,13 @@ fuzz_target!(|data: &[u8]| {
         }
     }
     std::fs::write(&path, bytes).expect("a scratch file");
-    if let Ok(world) = World::of_file(&path) {
+    let light = LightConfig {
+        baked: data.len() % 2 == 1,
+        spacing_m: 1.0,
+        paths: 8,
+        ..LightConfig::default()
+    };
+    if let Ok(world) = World::of_file(&path, &light, 1, &no_progress) {
         let _ = world.cast([0.0, 0.0, 1.0], [0.0, 0.6, -0.8]);
         let _ = world.extent_m();
     }

@@ -59,3 +59,43 @@ fn a_walk_in_a_poor_map_is_refused_and_not_given_wrongly() {
     let why = run["refused"].as_str().unwrap_or_default();
     assert!(why.contains("half of the map's points withheld"), "{run}");
 }
+
+/// A hall has no door that could be closed: said, where other places have; refused, where none is left. What cannot be is refused by `sim` too.
+#[test]
+fn conditions_that_a_place_cannot_have_are_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let refused = |arguments: &str, code: i32, expected: &str| {
+        let arguments: Vec<&str> = arguments.split(' ').collect();
+        let refused = lsfb(folder.path(), &arguments);
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(code), "{said}");
+        assert!(said.contains(expected), "{said}");
+    };
+    let trial = "bench twin --out trial --try-out --places exhibition-hall,atrium --condition";
+    refused(
+        &format!("{trial} fire-door"),
+        1,
+        "choose --place house-park,large-office,wide-corridor,narrow-corridor",
+    );
+    refused(
+        &format!("{trial} dusk"),
+        2,
+        "as-scanned, six-months, crowd, other-floor, night, fire-door",
+    );
+    refused("sim --out day --night", 1, "night");
+    refused(
+        "sim preview --out drawn --place stairs --fire-door",
+        1,
+        "no door that could be closed",
+    );
+    std::fs::write(
+        folder.path().join("c.toml"),
+        "place = \"narrow-corridor\"\nfire_door = true\n",
+    )
+    .expect("file");
+    refused(
+        "sim --out closed --config c.toml",
+        1,
+        "the scanner would walk through the closed door",
+    );
+}

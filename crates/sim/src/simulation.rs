@@ -8,7 +8,7 @@ use crate::ambient::{Surroundings, TimeFeed};
 use crate::calendar::{EPOCH, GLASSES_EPOCH};
 use crate::config::{CameraConfig, ImuConfig, Place, SimConfig};
 use crate::noise::hash;
-use crate::place::{Route, route};
+use crate::place::{Route, route, there_and_back, this_side};
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{FiringCycle, LidarSim};
@@ -208,6 +208,8 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
     };
     if config.off_path_m > 0.0 && !on_board {
         second.corners = off_the_path(config, world, &scan, second.corners);
+    } else if let Some(door) = world.closed_door() {
+        second.corners = this_side(door, second.corners);
     }
     Ok([scan, Walk::of(&second, hash(config.seed ^ 0x3a1c))])
 }
@@ -225,13 +227,16 @@ fn off_the_path(
     let is_whole = config.scan.duration_s == 0.0 || footsteps.len() < 3;
     let mut route = match is_whole {
         true => route,
-        false => off_path::there_and_back(&footsteps),
+        false => there_and_back(&footsteps),
     };
     let draw = hash(config.seed ^ 0x0ff9);
     let begin = (draw >> 8) as usize % route.len().max(1);
     route.rotate_left(begin);
     if draw & 1 == 1 {
         route.reverse();
+    }
+    if let Some(door) = world.closed_door() {
+        route = this_side(door, route);
     }
     off_path::beside(world, &route, &footsteps, config.off_path_m, draw)
 }

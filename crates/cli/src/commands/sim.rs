@@ -62,6 +62,13 @@ pub struct Arguments {
     /// Age of the environment in months; furniture and objects move once a month.
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "config")]
     months_later: u32,
+    /// Simulate the night: few lamps are lit, windows and screens are dark.
+    #[arg(long, conflicts_with = "config")]
+    night: bool,
+    /// Trace light from lamps, sky and sun by way of all surfaces, of a scene of yours from its own lamps (KHR_lights_punctual) and what shines in
+    /// it. Computed once, and kept in the folder.
+    #[arg(long, conflicts_with = "config")]
+    baked_light: bool,
     /// Seed of the building, the walks and the noise; without it that of --config, or 1.
     #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
@@ -120,6 +127,18 @@ enum Action {
         /// Age of the environment in months; furniture and objects move once a month.
         #[arg(long, value_name = "N", default_value_t = 0)]
         months_later: u32,
+        /// Your own textured scene, a binary glTF file in metres, instead of environments.
+        #[arg(long, value_name = "GLB", conflicts_with_all = ["place", "motion"])]
+        scene: Option<PathBuf>,
+        /// In traced light, as `lsfb sim --baked-light`; it is kept in the folder.
+        #[arg(long)]
+        baked_light: bool,
+        /// Draw the night: few lamps are lit, windows and screens are dark.
+        #[arg(long)]
+        night: bool,
+        /// Close a door that stands open otherwise; the second walk stays on one side of it.
+        #[arg(long)]
+        fire_door: bool,
     },
 }
 
@@ -181,6 +200,8 @@ impl Arguments {
             motion: None,
             device: Device::Glasses,
             months_later: 0,
+            night: false,
+            baked_light: false,
             seed: Some(seed),
             config: None,
             record: false,
@@ -211,15 +232,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         (Some(place), None) => SimConfig::for_place(place, arguments.device),
         (None, None) => super::config_or_default(arguments.config.as_deref())?,
     };
-    if arguments.config.is_none() {
-        config.months_later = arguments.months_later;
-        config.device = arguments.device;
-    }
     if let Some(scene) = &arguments.scene {
         config = SimConfig::for_place(Place::Imported, arguments.device);
         config.scene.clone_from(scene);
     }
+    if arguments.config.is_none() {
+        config.months_later = arguments.months_later;
+        config.night = arguments.night;
+        config.light.baked = arguments.baked_light;
+        config.device = arguments.device;
+    }
     config.seed = arguments.seed.unwrap_or(config.seed);
+    anyhow::ensure!(
+        !config.fire_door,
+        "fire_door: the scanner would walk through the closed door; `lsfb bench twin --condition fire-door` scans with the door open, and \
+         `lsfb sim preview --fire-door` shows the walk"
+    );
     match arguments.clocks {
         Some(Clocks::Ideal) => config.clocks = ClocksConfig::default(),
         Some(Clocks::Quartz) => config.clocks = ClocksConfig::quartz(),
@@ -340,6 +368,10 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
         device,
         seed,
         months_later,
+        scene,
+        baked_light,
+        night,
+        fire_door,
     } = action;
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let mut wanted: Vec<(String, SimConfig)> = Vec::new();
@@ -349,7 +381,12 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
             SimConfig::for_motion(motion, *device),
         ));
     }
-    let places = if place.is_empty() && motion.is_empty() {
+    if let Some(scene) = scene {
+        let mut config = SimConfig::for_place(Place::Imported, *device);
+        config.scene.clone_from(scene);
+        wanted.push((Place::Imported.name().to_owned(), config));
+    }
+    let places = if place.is_empty() && wanted.is_empty() {
         &Place::ENVIRONMENTS[..]
     } else {
         place
@@ -363,6 +400,9 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
     let mut pictures = Vec::new();
     for (name, mut config) in wanted {
         (config.seed, config.months_later) = (*seed, *months_later);
+        (config.night, config.fire_door) = (*night, *fire_door);
+        config.light.baked = *baked_light;
+        config.light.cache = out.join("light");
         for kind in ["scan", "walk", "top"] {
             context.claim(&out.join(format!("{name}-{kind}.png")), &[])?;
         }

@@ -2,17 +2,15 @@
 
 use std::path::PathBuf;
 
-use lsfb_types::{Bounds, OutOfBounds};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
-
-use super::Place;
 
 /// The light of a place.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightConfig {
     /// Whether light is traced from true lamps, sky and sun, by way of all surfaces, and glossy surfaces reflect. Without, every point has the light
-    /// of the lamps around it and an even light from everywhere. The demo's place and scenes of the user's have no such light.
+    /// of the lamps around it and an even light from everywhere.
     pub baked: bool,
     /// Distance between the points of a surface at which light is computed, metres; 0 takes 5 to 10 cm by the size of the place.
     pub spacing_m: f64,
@@ -28,15 +26,6 @@ impl LightConfig {
     /// Whether nothing of this is used, and it need not be written.
     pub(super) fn is_off(&self) -> bool {
         !self.baked
-    }
-
-    /// Refuses what would be left aside without a word.
-    pub(super) fn check(&self, section: &str, place: Place) -> Result<(), OutOfBounds> {
-        if !self.baked || !matches!(place, Place::Demo | Place::Imported) {
-            return Ok(());
-        }
-        let bounds = "false in the demo's place and in scenes of the user's";
-        Err(OutOfBounds::new(section, "baked", &self.baked, &bounds))
     }
 }
 
@@ -57,24 +46,5 @@ lsfb_types::bounds! {
         spacing_m: number(Bounds::ZeroOr(0.02, 1.0)),
         paths: number(Bounds::Within(8.0, 65536.0)),
         cache: any,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn baked_light_is_refused_where_there_is_none() {
-        let baked = LightConfig {
-            baked: true,
-            ..LightConfig::default()
-        };
-        assert!(baked.check("light", Place::Stairs).is_ok());
-        let error = baked
-            .check("light", Place::Demo)
-            .expect_err("no such light");
-        assert!(error.to_string().contains("light.baked"), "{error}");
-        assert!(LightConfig::default().check("light", Place::Demo).is_ok());
     }
 }

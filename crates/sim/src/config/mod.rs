@@ -45,6 +45,13 @@ pub struct SimConfig {
     pub people: bool,
     /// People besides who always is there, on the place's ways: a crowd has a dozen and more.
     pub crowd: u32,
+    /// Whether it is night: few lamps are lit, screens and most windows dark, the sky has no sun.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub night: bool,
+    /// Whether a door that otherwise stands open is closed, which one by the seed: one that the scanner's way leads through, where it does. The
+    /// second walk stays on one side of it.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub fire_door: bool,
     /// What the second walk is recorded with.
     pub device: Device,
     /// Sequence of Table VII (`O0` … `S2`) that the second walk follows, which decides its place, length and duration;
@@ -166,6 +173,8 @@ impl Default for SimConfig {
             months_later: 0,
             people: true,
             crowd: 0,
+            night: false,
+            fire_door: false,
             device: Device::Glasses,
             motion: String::new(),
             off_path_m: 0.0,
@@ -338,10 +347,27 @@ impl SimConfig {
         self.scan_imu.check("scan_imu")?;
         self.glasses_imu.check("glasses_imu")?;
         self.lidar.check("lidar")?;
-        self.light.check("light", self.place)?;
-        if !self.look.is_plain() && matches!(self.place, Place::Demo | Place::Imported) {
-            let bounds = "plain in the demo's place and in scenes of the user's";
+        if !self.look.is_plain() && self.place == Place::Imported {
+            let bounds = "plain in scenes of the user's, which bring their own";
             return Err(OutOfBounds::new("", "look", &"detailed", &bounds).into());
+        }
+        if self.night && !self.place.has_nights() {
+            let bounds =
+                "false in the demo's and the calibration place and in scenes of the user's";
+            return Err(OutOfBounds::new("", "night", &true, &bounds).into());
+        }
+        if self.fire_door && !self.place.has_fire_doors() {
+            let names = Place::ENVIRONMENTS.into_iter();
+            let names: Vec<&str> = names
+                .filter(|p| p.has_fire_doors())
+                .map(Place::name)
+                .collect();
+            let bounds = format!(
+                "false in {}, which has no door that could be closed; {} have",
+                self.place.name(),
+                names.join(", ")
+            );
+            return Err(OutOfBounds::new("", "fire_door", &true, &bounds).into());
         }
         Ok(())
     }
@@ -356,6 +382,8 @@ lsfb_types::bounds! {
         months_later: any,
         people: any,
         crowd: number(Bounds::Within(0.0, 150.0)),
+        night: any,
+        fire_door: any,
         device: any,
         motion: any,
         off_path_m: number(Bounds::ZeroOr(0.5, 10.0)),

@@ -104,6 +104,19 @@ impl Place {
         }
     }
 
+    /// Whether it can be night here.
+    pub const fn has_nights(self) -> bool {
+        !matches!(self, Self::Demo | Self::Calibration | Self::Imported)
+    }
+
+    /// Whether there are doors here that stand open, and could be closed.
+    pub const fn has_fire_doors(self) -> bool {
+        matches!(
+            self,
+            Self::LargeOffice | Self::HousePark | Self::WideCorridor | Self::NarrowCorridor
+        )
+    }
+
     /// Whether satellites are seen here.
     pub const fn is_outdoors(self) -> bool {
         matches!(self, Self::OfficePark | Self::HousePark)

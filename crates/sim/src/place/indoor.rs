@@ -259,6 +259,7 @@ pub(super) fn wide_corridor(site: &mut Site, area: Area) {
         site.dress(wall, dress, 300 + k as u64);
     }
     site.lamps(area, CEILING_M, 4.0, 1.5);
+    site.shutter(area, 0.5, CEILING_M);
     let duct = Material::METAL
         .toned(0.45)
         .marked(Marks::Boards([1.2, 0.3]));
@@ -282,6 +283,8 @@ pub(super) fn narrow_corridor(site: &mut Site, area: Area) {
         site.dress(wall, Dress::Doors(15.0), 400 + k as u64);
     }
     site.lamps(area, 2.6, 6.0, 0.9);
+    // Not below a lamp.
+    site.shutter(area, 0.4, 2.6);
 }
 
 /// Two wide flights between two floors, walls full of pictures.

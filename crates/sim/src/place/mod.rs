@@ -2,7 +2,9 @@
 
 mod calibration;
 mod dress;
+mod fire_door;
 mod indoor;
+mod night;
 mod office;
 mod park;
 mod route;
@@ -13,18 +15,22 @@ use lsfb_types::ProgressFn;
 use crate::Error;
 use crate::config::{Place, SimConfig};
 use crate::world::crowd::Stroll;
-use crate::world::{Blueprint, LitPlace, World};
+use crate::world::{Blueprint, ClosedDoor, FloorPlan, LitPlace, World, furnish};
 pub use calibration::{CalibrationBoard, TAG_M};
-pub(crate) use route::{Route, route};
+pub(crate) use fire_door::this_side;
+pub(crate) use route::{Route, route, there_and_back};
 use site::{Area, Site};
 
 impl Place {
     /// Builds what is configured.
     pub(crate) fn build(config: &SimConfig, progress: ProgressFn) -> Result<World, Error> {
         let (seed, texel_m) = (config.seed, config.texel_m);
+        let is_simple = !config.light.baked && config.look.is_plain();
         match config.place {
-            Self::Demo => return Ok(World::build(seed, texel_m, progress)?),
-            Self::Imported => return World::of_file(&config.scene),
+            Self::Demo if is_simple => return Ok(World::build(seed, texel_m, progress)?),
+            Self::Imported => {
+                return World::of_file(&config.scene, &config.light, seed, progress);
+            }
             _ => {}
         }
         let plan = Self::plan(config);
@@ -34,14 +40,21 @@ impl Place {
         }
     }
 
-    /// What a place consists of; nothing for the demo's and imported ones.
+    /// What a place consists of; nothing for imported ones.
     fn plan(config: &SimConfig) -> Blueprint {
         let place = config.place;
         let mut site = Site::new(config.seed, config.months_later.into());
+        if config.night {
+            night::begin(&mut site);
+        }
         let [w, d] = place.size_m().map(|v| v as f32);
         let whole = Area::new([0.0, w], [0.0, d]);
         match place {
-            Self::Demo | Self::Imported => {}
+            Self::Demo => {
+                let (builder, lamps) = furnish(&FloorPlan::new(config.seed), config.seed);
+                (site.plan.builder, site.plan.lamps) = (builder, lamps);
+            }
+            Self::Imported => {}
             Self::Calibration => calibration::room(&mut site),
             Self::OfficePark => park::buildings(&mut site),
             Self::HousePark => park::houses(&mut site),
@@ -54,7 +67,14 @@ impl Place {
             Self::Stairs => indoor::stairs(&mut site, whole),
         }
         site.line_passages();
-        site.plan.strolls.extend(crowd(place, config.crowd));
+        if config.night {
+            night::fall(&mut site);
+        }
+        if config.fire_door {
+            fire_door::close(&mut site, config);
+        }
+        let people = crowd(place, config.crowd, site.plan.closed.as_ref());
+        site.plan.strolls.extend(people);
         if !config.people {
             site.plan.strolls.clear();
         }
@@ -64,18 +84,23 @@ impl Place {
 }
 
 impl LitPlace {
-    /// A place with its lamps, sky and sun; empty for the demo's place and imported ones.
+    /// A place with its lamps, sky and sun; empty for imported ones.
     pub fn of(config: &SimConfig) -> Self {
         let plan = Place::plan(config);
-        Self::new(&plan.builder.surfaces, plan.sun)
+        Self::new(&plan.builder.surfaces, plan.sky)
     }
 }
 
 /// People on the ways that scanner and walks take, each at a pace of their own.
-fn crowd(place: Place, count: u32) -> impl Iterator<Item = Stroll> {
+fn crowd(place: Place, count: u32, closed: Option<&ClosedDoor>) -> impl Iterator<Item = Stroll> {
     (0..count).map(move |k| {
         let way = [Route::Scan, Route::Loop][(k % 2) as usize];
-        let corners = route(place, way).into_iter();
+        let way = route(place, way);
+        let way = match closed {
+            Some(door) => this_side(door, way),
+            None => way,
+        };
+        let corners = way.into_iter();
         Stroll {
             corners: corners.map(|corner| corner.map(|v| v as f32)).collect(),
             speed_m_s: 0.5 + 0.13 * (k % 7) as f32,

@@ -8,7 +8,7 @@ use super::site::{Area, Cladding, Site, WALL_M, Wall};
 use crate::noise::uniform;
 use crate::world::builder::{Faces, Placement};
 use crate::world::furniture::door;
-use crate::world::light::Sun;
+use crate::world::light::{Lamp, Sky, Sun};
 use crate::world::material::{Marks, Material};
 use crate::world::vector::norm;
 
@@ -28,6 +28,8 @@ const BLOCKS: [(Area, f32); 3] = [
     (Area::new([14.0, 36.0], [64.0, 88.0]), 20.0),
 ];
 const HOUSE_M: f32 = 3.2;
+/// Half the power of a lamp on a post.
+const POST_POWER: f32 = 1.0;
 
 /// Large office buildings and a plaza.
 pub(super) fn buildings(site: &mut Site) {
@@ -55,7 +57,7 @@ pub(super) fn houses(site: &mut Site) {
 /// Ground, plaza, hedges, sky and sun.
 fn grounds(site: &mut Site) {
     let norm_of = |v: [f32; 3]| v.map(|c| c / norm(v));
-    site.plan.sun = Some(Sun {
+    site.plan.sky = Sky::Day(Sun {
         direction: norm_of([0.45, -0.5, 0.75]),
         power: 0.75,
     });
@@ -180,6 +182,13 @@ fn furnish(site: &mut Site) {
         let post = [40.0 + 4.2 * k as f32, 41.0, 0.0];
         out.prism(post, 0.08, 0.05, 4.5, 8, Material::METAL.toned(0.3));
         out.prism([post[0], post[1], 4.5], 0.3, 0.2, 0.25, 8, Material::LAMP);
+        if site.plan.night {
+            // To either side of the post, in whose shadow the ground would lie otherwise.
+            site.plan.lamps.extend([-0.35, 0.35].map(|aside| Lamp {
+                position: [post[0], post[1] + aside, 4.45],
+                power: POST_POWER,
+            }));
+        }
     }
     // A round basin in the plaza, a sign, cars along the road.
     let out = site.out();

@@ -4,6 +4,9 @@ use super::indoor::{FLIGHT, STOREY_M};
 use super::park;
 use crate::config::Place;
 
+/// Half the distance between the ways there and back of a way that does not close, metres.
+const KEEP_RIGHT_M: f64 = 0.08;
+
 /// A kind of way through a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Route {
@@ -93,6 +96,25 @@ fn spot(place: Place) -> [f64; 2] {
         Place::Calibration => [2.6, 2.5],
         _ => place.size_m().map(|v| 0.4 * v),
     }
+}
+
+/// A way that does not close, there and back, keeping to the right.
+pub(crate) fn there_and_back(way: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let shifted = |k: usize| {
+        let (p, q) = (way[k.saturating_sub(1)], way[(k + 1).min(way.len() - 1)]);
+        let (dx, dy) = (q[0] - p[0], q[1] - p[1]);
+        let share = KEEP_RIGHT_M / dx.hypot(dy).max(1e-6);
+        [share * dy, -share * dx]
+    };
+    let to_side = |k: usize, sign: f64| {
+        let [sx, sy] = shifted(k);
+        let [x, y, z] = way[k];
+        [x + sign * sx, y + sign * sy, z]
+    };
+    let there = (0..way.len()).map(|k| to_side(k, 1.0));
+    there
+        .chain((0..way.len()).rev().map(|k| to_side(k, -1.0)))
+        .collect()
 }
 
 /// From one corner around to the others, anticlockwise for a positive extent.

@@ -2,7 +2,7 @@
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
-use crate::noise::{Dice, stream};
+use crate::noise::{Dice, hash, stream};
 use crate::world::Blueprint;
 use crate::world::builder::{Builder, Faces, Placement};
 use crate::world::fittings::walls;
@@ -18,9 +18,13 @@ pub(crate) const WALL_M: f32 = 0.3;
 pub(crate) struct Site {
     pub plan: Blueprint,
     pub passages: Vec<Passage>,
+    /// Across halls, where fire doors come out of the walls.
+    pub shutters: Vec<Passage>,
     pub seed: u64,
     /// Changes the draws of what people move about: posters, things on desks.
     pub later: u64,
+    /// Of how many lamps one is lit.
+    pub one_lit_of: u64,
 }
 
 /// A rectangle of the floor plan, metres.
@@ -85,8 +89,10 @@ impl Site {
                 ..Blueprint::default()
             },
             passages: Vec::new(),
+            shutters: Vec::new(),
             seed,
             later,
+            one_lit_of: 1,
         }
     }
 
@@ -101,7 +107,7 @@ impl Site {
 
     /// Draws for what is moved about in months; one thing in two stays.
     pub(crate) fn moved(&self, purpose: &str, index: u64) -> Dice {
-        let changed = self.later * (crate::noise::hash(index ^ self.later) % 2);
+        let changed = self.later * (hash(index ^ self.later) % 2);
         stream(self.seed.wrapping_add(changed << 32), purpose, index)
     }
 
@@ -109,6 +115,17 @@ impl Site {
     pub(crate) fn pass(&mut self, area: Area, height: f32) {
         self.passages.push(Passage {
             area,
+            z: 0.0,
+            height,
+        });
+    }
+
+    /// Where a fire door can come out of the walls of a hall along x, at a share of its length.
+    pub(crate) fn shutter(&mut self, area: Area, share: f32, height: f32) {
+        let x = area.x[0] + share * area.size()[0];
+        let half = 0.5 * WALL_M;
+        self.shutters.push(Passage {
+            area: Area::new([x - half, x + half], area.y),
             z: 0.0,
             height,
         });
@@ -205,8 +222,8 @@ impl Site {
         }
     }
 
-    /// A lamp that hangs from a ceiling.
-    pub(crate) fn lamp(&mut self, at: [f32; 3], half: [f32; 3], power: f32) {
+    /// A lamp that hangs from a ceiling, of power 0 where it is not lit.
+    fn lamp(&mut self, at: [f32; 3], half: [f32; 3], power: f32) {
         let place = Placement::new([at[0], at[1], 0.0], 0.0);
         let [x, y, z] = half;
         self.plan.builder.cuboid(
@@ -216,9 +233,17 @@ impl Site {
             Faces::All,
             Material {
                 luminance_cd_m2: CANDELA * power / (4.0 * x * y),
+                glow: if power > 0.0 {
+                    Material::LAMP.glow
+                } else {
+                    0.0
+                },
                 ..Material::LAMP
             },
         );
+        if power <= 0.0 {
+            return;
+        }
         self.plan.lamps.push(Lamp {
             position: [at[0], at[1], at[2] - z - 0.05],
             power,
@@ -229,8 +254,15 @@ impl Site {
     pub(crate) fn lamps(&mut self, area: Area, ceiling: f32, pitch: f32, power: f32) {
         let [w, d] = area.size();
         let (nx, ny) = ((w / pitch).ceil().max(1.0), (d / pitch).ceil().max(1.0));
+        let draw =
+            hash(self.seed ^ hash(u64::from(area.x[0].to_bits())) ^ u64::from(area.y[0].to_bits()));
         for i in 0..nx as usize {
             for j in 0..ny as usize {
+                let number = (i * ny as usize + j) as u64;
+                let is_lit = (draw >> 8)
+                    .wrapping_add(number)
+                    .is_multiple_of(self.one_lit_of);
+                let power = if is_lit { power } else { 0.0 };
                 let x = area.x[0] + (i as f32 + 0.5) * w / nx;
                 let y = area.y[0] + (j as f32 + 0.5) * d / ny;
                 self.lamp([x, y, ceiling], [0.6, 0.12, 0.06], power);

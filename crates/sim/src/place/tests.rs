@@ -209,3 +209,224 @@ fn a_scene_of_others_can_be_walked_through() {
     let scan = simulation.scan().scan(world, 30).expect("returns");
     assert!(scan.sample.points.len() > 40_000);
 }
+
+/// What is there is the same, so that a LiDAR sees no difference; what shines is not.
+#[test]
+fn at_night_few_things_shine() {
+    for place in Place::ENVIRONMENTS {
+        let plan = |night| {
+            let mut config = coarse(place);
+            config.night = night;
+            config.check().expect("valid");
+            Place::plan(&config)
+        };
+        let (day, night) = (plan(false), plan(true));
+        let facets = |plan: &Blueprint| -> Vec<_> {
+            plan.builder
+                .surfaces
+                .iter()
+                .map(|s| [s.facet.corner, s.facet.edge_a, s.facet.edge_b])
+                .collect()
+        };
+        assert!(facets(&day) == facets(&night), "{place:?}");
+        let shining = |plan: &Blueprint| {
+            let surfaces = plan.builder.surfaces.iter();
+            let near = surfaces.filter(|s| !s.material.is_backdrop());
+            let all = near.map(|s| {
+                let [a, b] = [s.facet.edge_a, s.facet.edge_b].map(crate::world::vector::norm);
+                a * b * s.material.luminance_cd_m2
+            });
+            all.sum::<f32>()
+        };
+        let share = shining(&night) / shining(&day);
+        assert!((0.002..0.4).contains(&share), "{place:?}: {share}");
+        assert!(!night.lamps.is_empty(), "{place:?}");
+        assert!(night.sky.sun().is_none() && night.ambient < 0.01);
+    }
+}
+
+#[test]
+fn images_at_night_are_dark_and_noisy() {
+    let seen = |night| {
+        let mut config = coarse(Place::NarrowCorridor);
+        config.night = night;
+        let simulation = Simulation::new(&config, &no_progress).expect("valid");
+        let images = (0..6).map(|k| {
+            let image = simulation
+                .glasses()
+                .image(simulation.world(), 0, 40 + 60 * k);
+            image.expect("camera").sample
+        });
+        images.collect::<Vec<_>>()
+    };
+    let (day, night) = (seen(false), seen(true));
+    let longest = night.iter().map(|i| i.exposure_ns).max();
+    assert!(longest > day.iter().map(|i| i.exposure_ns).max());
+    // Neighbours along a row of a corridor without texture differ by noise.
+    let noise = |images: &[lsfb_types::Image]| {
+        let pairs = images.iter().flat_map(|i| i.pixels.windows(2));
+        let mut steps: Vec<u8> = pairs.map(|p| p[0].abs_diff(p[1])).collect();
+        steps.sort_unstable();
+        steps[steps.len() / 2]
+    };
+    let (quiet, loud) = (noise(&day), noise(&night));
+    assert!(loud > quiet + 1, "{quiet} {loud}");
+}
+
+#[test]
+fn nobody_walks_through_a_door_that_has_been_closed() {
+    for place in Place::ENVIRONMENTS {
+        let with_door = |seed, fire_door| {
+            let mut config = SimConfig {
+                seed,
+                fire_door,
+                off_path_m: 6.0,
+                crowd: 8,
+                ..coarse(place)
+            };
+            (config.scan.duration_s, config.glasses.duration_s) = (36.0, 10.0);
+            config
+        };
+        assert_eq!(
+            with_door(1, true).check().is_ok(),
+            place.has_fire_doors(),
+            "{place:?}"
+        );
+        if !place.has_fire_doors() {
+            continue;
+        }
+        let plan = |seed| Place::plan(&with_door(seed, true));
+        let doors: Vec<ClosedDoor> = (1..9)
+            .map(|seed| plan(seed).closed.expect("a door"))
+            .collect();
+        assert!(plan(1).closed == Some(doors[0]));
+        let world = Place::build(&with_door(1, true), &no_progress).expect("built");
+        let door = world.closed_door().copied().expect("a door");
+        let [p, q] = door.ends.map(|end| end.map(f64::from));
+        let away_m = |at: [f64; 3]| {
+            let (dx, dy) = (q[0] - p[0], q[1] - p[1]);
+            let (x, y) = (at[0] - p[0], at[1] - p[1]);
+            let along = ((x * dx + y * dy) / (dx * dx + dy * dy)).clamp(0.0, 1.0);
+            (x - along * dx).hypot(y - along * dy)
+        };
+        let config = with_door(1, true);
+        let [scan, walk] = crate::simulation::walks(&config, &world).expect("walks");
+        let feet = |walk: &Walk| -> Vec<[f64; 3]> {
+            let at = |k: u32| {
+                walk.at(0.1 * f64::from(k))
+                    .world_from_rig
+                    .translation
+                    .into()
+            };
+            (0..(10.0 * walk.duration_s()) as u32).map(at).collect()
+        };
+        let nearest = |way: &[[f64; 3]]| way.iter().map(|at| away_m(*at)).fold(9e9, f64::min);
+        // The scanner went through it when it stood open; the walk is near it, and turns.
+        assert!(nearest(&feet(&scan)) < 0.3, "{place:?}");
+        let least_m = nearest(&feet(&walk));
+        assert!((0.4..4.0).contains(&least_m), "{place:?}: {least_m}");
+        for stroll in &plan(1).strolls {
+            let ends = stroll
+                .corners
+                .iter()
+                .zip(stroll.corners.iter().cycle().skip(1));
+            for (from, to) in ends.take(stroll.corners.len()) {
+                let (from, to) = (from.map(f64::from), to.map(f64::from));
+                let through = fire_door::crossing(&door, from, to);
+                assert!(through.is_none(), "{place:?}: {from:?} {to:?}");
+            }
+        }
+        // And it is what one sees: straight ahead from before it, a leaf.
+        let middle: [f64; 3] =
+            std::array::from_fn(|i| 0.5 * (p[i] + q[i]) + if i == 2 { 1.4 } else { 0.0 });
+        let normal = [q[1] - p[1], p[0] - q[0]].map(|v| v / (q[0] - p[0]).hypot(q[1] - p[1]));
+        for side in [-1.0, 1.0] {
+            let eye = [
+                middle[0] + side * normal[0],
+                middle[1] + side * normal[1],
+                middle[2],
+            ];
+            let ahead = [-side * normal[0], -side * normal[1], 0.0];
+            let hit = world.cast(eye.map(|v| v as f32), ahead.map(|v| v as f32));
+            let hit = hit.expect("a leaf");
+            assert!((0.8..1.0).contains(&hit.distance), "{place:?}: {hit:?}");
+        }
+    }
+}
+
+/// Ways that cross the door once, twice and never.
+#[test]
+fn ways_stay_on_one_side_of_a_door() {
+    let door = ClosedDoor {
+        ends: [[5.0, -1.0, 0.0], [5.0, 1.0, 0.0]],
+        height_m: 2.2,
+    };
+    let crosses = |way: &[[f64; 3]]| {
+        let next = way.iter().cycle().skip(1);
+        way.iter()
+            .zip(next)
+            .any(|(p, q)| fire_door::crossing(&door, *p, *q).is_some())
+    };
+    let twice = vec![
+        [0.0, -0.2, 0.0],
+        [20.0, -0.2, 0.0],
+        [20.0, 0.2, 0.0],
+        [0.0, 0.2, 0.0],
+    ];
+    let once = vec![
+        [0.0, 0.0, 0.0],
+        [10.0, 0.0, 0.0],
+        [10.0, 8.0, 0.0],
+        [0.0, 8.0, 0.0],
+    ];
+    let never = vec![[0.0, 3.0, 0.0], [10.0, 3.0, 0.0], [10.0, 8.0, 0.0]];
+    assert!(crosses(&twice) && crosses(&once) && !crosses(&never));
+    assert_eq!(this_side(&door, never.clone()), never);
+    let far = this_side(&door, twice);
+    assert!(!crosses(&far) && far.iter().all(|at| at[0] >= 5.9));
+    let round = this_side(&door, once);
+    assert!(!crosses(&round));
+    assert!(
+        round.iter().any(|at| at[0] > 5.9 && at[1] < 1.0)
+            && round.iter().any(|at| at[0] < 4.1 && at[1] < 1.0)
+    );
+    // A floor above is another matter.
+    let above: Vec<[f64; 3]> = vec![[0.0, 0.0, 4.0], [10.0, 0.0, 4.0], [10.0, 8.0, 4.0]];
+    assert_eq!(this_side(&door, above.clone()), above);
+}
+
+/// Night, a closed door, a crowd, things moved, traced light: all at once; and the demo's place in traced light.
+#[test]
+fn conditions_combine() {
+    let seen = |config: &SimConfig| {
+        let simulation = Simulation::new(config, &no_progress).expect("valid");
+        let image = simulation.glasses().image(simulation.world(), 0, 60);
+        image.expect("camera").sample
+    };
+    let mean = |image: &lsfb_types::Image| {
+        let sum: u64 = image.pixels.iter().map(|p| u64::from(*p)).sum();
+        sum / image.pixels.len() as u64
+    };
+    let mut config = SimConfig {
+        fire_door: true,
+        crowd: 5,
+        months_later: 6,
+        off_path_m: 6.0,
+        ..coarse(Place::WideCorridor)
+    };
+    (
+        config.light.baked,
+        config.light.spacing_m,
+        config.light.paths,
+    ) = (true, 0.5, 8);
+    let day = seen(&config);
+    config.night = true;
+    let night = seen(&config);
+    assert!(night.exposure_ns > day.exposure_ns && night.pixels != day.pixels);
+    assert!(mean(&night) > 10, "not all is black");
+    let demo = SimConfig {
+        light: config.light.clone(),
+        ..coarse(Place::Demo)
+    };
+    assert!((40..200).contains(&mean(&seen(&demo))));
+}

@@ -27,8 +27,6 @@ const HEIGHTS_M: [f32; 8] = [0.35, 0.45, 0.6, 0.735, 1.0, 1.3, 1.6, 1.85];
 /// Height from which the floor is looked for, and how far off it may be: a step of stairs, metres.
 const LOOK_DOWN_M: f32 = 0.6;
 const STEP_RISE_M: f32 = 0.2;
-/// Half the distance between the ways there and back of a way that does not close, metres.
-const KEEP_RIGHT_M: f64 = 0.08;
 /// Points of another storey are no neighbours, metres.
 const STOREY_M: f64 = 1.5;
 /// Where the scanner never was on a storey, metres.
@@ -49,25 +47,6 @@ pub(crate) fn footsteps(walk: &Walk, height_m: f64) -> Vec<[f64; 3]> {
         }
     }
     feet
-}
-
-/// A way that does not close, there and back, keeping to the right.
-pub(crate) fn there_and_back(way: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let shifted = |k: usize| {
-        let (p, q) = (way[k.saturating_sub(1)], way[(k + 1).min(way.len() - 1)]);
-        let (dx, dy) = (q[0] - p[0], q[1] - p[1]);
-        let share = KEEP_RIGHT_M / dx.hypot(dy).max(1e-6);
-        [share * dy, -share * dx]
-    };
-    let to_side = |k: usize, sign: f64| {
-        let [sx, sy] = shifted(k);
-        let [x, y, z] = way[k];
-        [x + sign * sx, y + sign * sy, z]
-    };
-    let there = (0..way.len()).map(|k| to_side(k, 1.0));
-    there
-        .chain((0..way.len()).rev().map(|k| to_side(k, -1.0)))
-        .collect()
 }
 
 /// The corners of a closed way along `route`, up to `most_m` off the scanner's `footsteps` where nothing is in the way.

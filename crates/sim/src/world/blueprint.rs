@@ -1,7 +1,5 @@
 //! From what a place consists of to a world that can be looked at.
 
-use std::path::Path;
-
 use rayon::prelude::*;
 
 use lsfb_types::{Progress, ProgressFn, Stopped};
@@ -10,14 +8,13 @@ use super::atlas::Atlas;
 use super::builder::{Builder, Surface};
 use super::bvh::Bvh;
 use super::crowd::{Crowd, Stroll};
-use super::facet::{Facet, Outline};
+use super::facet::Facet;
 use super::grain::Grain;
-use super::light::{Lamp, Lamps, LightGrid, Lighting, SmallFacets, Sun};
+use super::light::{Lamp, Lamps, LightGrid, Lighting, Sky, SmallFacets};
 use super::lit::{self, Lit};
 use super::outlook;
 use super::skin::{Beyond, LightMaps, Skin};
-use super::vector::{cross, norm, sub};
-use super::{Substance, World, gltf, pool};
+use super::{Night, World, pool};
 use crate::Error;
 use crate::config::{LightConfig, Look};
 
@@ -29,76 +26,25 @@ const SPACING_M: f32 = 0.45;
 pub(crate) struct Blueprint {
     pub builder: Builder,
     pub lamps: Vec<Lamp>,
-    pub sun: Option<Sun>,
+    pub sky: Sky,
     pub ambient: f32,
+    /// Whether it is night, and cameras are at their limits.
+    pub night: bool,
+    /// A door that has been closed.
+    pub closed: Option<ClosedDoor>,
     pub strolls: Vec<Stroll>,
     pub look: Look,
 }
 
-impl World {
-    /// The scene of a binary glTF file, in its own light.
-    pub fn of_file(path: &Path) -> Result<Self, Error> {
-        let scene = gltf::read(path)?;
-        let mut triangles = Vec::new();
-        let mut unsorted = Vec::new();
-        for triangle in scene.triangles {
-            let [corner, q, r] = triangle.corners_m;
-            let (a, b) = (sub(q, corner), sub(r, corner));
-            // Slivers have no direction to face, and what is infinitely large no place.
-            let area = norm(cross(a, b));
-            if area > 1e-9 && area.is_finite() {
-                unsorted.push(Facet::new(corner, a, b, Outline::Triangle));
-                triangles.push(triangle);
-            }
-        }
-        if unsorted.is_empty() {
-            return Err(Error::Scene {
-                path: path.to_owned(),
-                problem: "none of its triangles has an area".to_owned(),
-            });
-        }
-        let (bvh, order) = Bvh::build(&unsorted);
-        let facets: Vec<Facet> = order.iter().map(|&i| unsorted[i]).collect();
-        let mut atlas = Atlas::default();
-        for picture in &scene.pictures {
-            atlas.push(picture);
-        }
-        let means: Vec<f32> = scene
-            .pictures
-            .iter()
-            .map(|p| p.values.iter().sum::<f32>() / p.values.len() as f32)
-            .collect();
-        let skins = order.iter().map(|&i| {
-            let [p, q, r] = triangles[i].places;
-            let facet = &unsorted[i];
-            let edges = [q, r].map(|end| [end[0] - p[0], end[1] - p[1]]);
-            let lengths = [norm(facet.edge_a), norm(facet.edge_b)];
-            let per_metre = |k: usize| edges[k][0].hypot(edges[k][1]) / lengths[k].max(1e-6);
-            Skin {
-                edges,
-                offset: p,
-                beyond: Beyond::Repeated,
-                zoom: per_metre(0).max(per_metre(1)),
-                gain: triangles[i].gain,
-                ..Skin::baked(triangles[i].picture)
-            }
-        });
-        // Brightness is the square root of reflected light.
-        let reflectance =
-            |i: &usize| means[triangles[*i].picture].powi(2) * triangles[*i].gain.powi(2);
-        Ok(Self {
-            reflectances: order.iter().map(reflectance).collect(),
-            skins: skins.collect(),
-            substances: vec![Substance::default(); facets.len()],
-            facets,
-            bvh,
-            atlas,
-            light: LightMaps::default(),
-            crowd: Crowd::default(),
-            lit: None,
-        })
-    }
+/// A door that stands open otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ClosedDoor {
+    /// Both ends of its lower edge, metres.
+    pub ends: [[f32; 3]; 2],
+    pub height_m: f32,
+}
 
+impl World {
     /// Paints and lights a place, with texels of `texel_m` metres where surfaces are looked at closely.
     pub(crate) fn of(
         blueprint: &Blueprint,
@@ -109,7 +55,7 @@ impl World {
         let painted = Painted::new(blueprint, seed, texel_m, progress)?;
         let lighting = Lighting {
             lamps: Lamps::new(&blueprint.lamps),
-            sun: blueprint.sun,
+            sun: blueprint.sky.sun(),
             ambient: blueprint.ambient,
             spacing_m: SPACING_M,
             small_facets: SmallFacets::Flat,
@@ -138,7 +84,14 @@ impl World {
                 light.push(&grid, surface.material.glow);
             }
         }
-        Ok(painted.lit_by(light, None))
+        let night = blueprint.night.then_some(Night {
+            lamps: lighting.lamps,
+            ambient: lighting.ambient,
+        });
+        Ok(World {
+            night,
+            ..painted.lit_by(light, None)
+        })
     }
 
     /// Paints a place and traces its light, or reads it where it has been traced before.
@@ -154,12 +107,15 @@ impl World {
         let (maps, lit) = lit::light(
             &painted.surfaces,
             count,
-            (blueprint.sun, &blueprint.strolls),
+            (blueprint.sky, &blueprint.strolls),
             config,
             seed,
             progress,
         )?;
-        Ok(painted.lit_by(maps, Some(lit)))
+        Ok(World {
+            night: blueprint.night.then(Night::default),
+            ..painted.lit_by(maps, Some(lit))
+        })
     }
 }
 
@@ -172,6 +128,7 @@ struct Painted {
     atlas: Atlas,
     skins: Vec<Skin>,
     crowd: Crowd,
+    closed: Option<ClosedDoor>,
 }
 
 impl Painted {
@@ -203,7 +160,7 @@ impl Painted {
         }
         if blueprint.look == Look::Detailed {
             // Where there is a sun, one stands outside and sees in a window what it mirrors.
-            let view = if blueprint.sun.is_some() {
+            let view = if blueprint.sky.is_open() {
                 Beyond::Mirrored
             } else {
                 Beyond::Outlook
@@ -226,6 +183,7 @@ impl Painted {
             atlas,
             skins,
             crowd,
+            closed: blueprint.closed,
         })
     }
 
@@ -241,6 +199,8 @@ impl Painted {
             light,
             crowd: self.crowd,
             lit,
+            night: None,
+            closed: self.closed,
         }
     }
 }

@@ -7,7 +7,7 @@ use super::bvh::Bvh;
 use super::facet::Facet;
 use super::material::Material;
 use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
-use super::vector::{add, cross, norm, scale, sub};
+use super::vector::{add, norm, scale, sub};
 use crate::noise::{Dice, stream, uniform};
 
 /// Attitudes of a walking body.
@@ -21,6 +21,9 @@ const STRIDE_S: f64 = 1.2;
 /// Half the height of a body, and the radius of a sphere about its middle that holds it, metres.
 const MIDDLE_M: f32 = 0.9;
 const REACH_M: f32 = 1.05;
+/// Half the width of a body, and how far from its feet the floor is darker for it, metres.
+const HALF_WIDTH_M: f32 = 0.2;
+const SHADE_M: f32 = 1.6;
 /// Nobody comes nearer to who walks than this, metres.
 const CLEARANCE_M: f32 = 0.9;
 /// People at most, so that who carries a facet fits a byte.
@@ -179,6 +182,29 @@ impl Moment {
         [stand.turn(sub(point, stand.feet)), stand.turn(ray)]
     }
 
+    /// Whether anybody is there.
+    pub(crate) fn has_people(&self) -> bool {
+        !self.people.is_empty()
+    }
+
+    /// How much of the light from everywhere above a point of a floor people around it leave: each is an upright strip that faces it.
+    pub(crate) fn open_share(&self, point: [f32; 3]) -> f32 {
+        let mut share = 1.0;
+        for stand in &self.people {
+            let [dx, dy, dz] = sub(point, stand.feet);
+            let squared = dx * dx + dy * dy;
+            if squared < SHADE_M * SHADE_M && dz.abs() < 0.3 {
+                // Its azimuth's share, times the cosine-weighted share of the height up to the head.
+                let aside = (HALF_WIDTH_M / squared.sqrt().max(0.02)).atan();
+                let up = 4.0 * MIDDLE_M * MIDDLE_M / (4.0 * MIDDLE_M * MIDDLE_M + squared);
+                // Fades out, so that no border is seen.
+                let fade = 1.0 - squared / (SHADE_M * SHADE_M);
+                share *= 1.0 - aside / std::f32::consts::PI * up * fade;
+            }
+        }
+        share
+    }
+
     /// A direction in the frame of a carrier, in the world.
     pub(crate) fn in_world(&self, carrier: u8, direction: [f32; 3]) -> [f32; 3] {
         let stand = usize::from(carrier).checked_sub(1);
@@ -268,50 +294,96 @@ fn person(out: &mut Builder, rng: &Dice, swing: f32) {
     let skin = Material::SKIN.toned(uniform(rng, 0.25, 0.6));
     let hair = Material::CLOTH.toned(uniform(rng, 0.06, 0.35));
     let tall = uniform(rng, 0.94, 1.06);
-    let up = |z: f32| z * tall;
     for side in [-1.0_f32, 1.0] {
         let step = 0.32 * swing * side;
-        let hip = [0.0, 0.1 * side, up(0.9)];
-        let foot = [step, 0.1 * side, 0.06];
-        limb(out, hip, foot, 0.15, trousers);
-        limb(
-            out,
-            add(foot, [-0.08, 0.0, 0.0]),
-            add(foot, [0.18, 0.0, 0.0]),
-            0.1,
-            hair,
-        );
-        let shoulder = [0.0, 0.24 * side, up(1.42)];
-        let hand = [-0.9 * step, 0.28 * side, up(0.82)];
-        limb(out, shoulder, hand, 0.1, coat);
-        limb(out, hand, add(hand, [0.02, 0.0, -0.14]), 0.07, skin);
+        let y = 0.1 * side;
+        // The knee of the leg behind is bent.
+        let knee = 0.5 * step + 0.05 + 0.08 * (-step).max(0.0);
+        let leg = [
+            ([step, y, 0.07], [0.05, 0.045]),
+            ([0.6 * step + 0.4 * knee - 0.02, y, 0.3], [0.062, 0.055]),
+            ([knee, y, 0.48], [0.062, 0.06]),
+            ([0.4 * knee, y, 0.72], [0.085, 0.08]),
+            ([0.0, 0.9 * y, 0.92], [0.1, 0.095]),
+        ];
+        loft(out, tall, &leg, trousers);
+        let shoe = [
+            ([step + 0.05, y, 0.0], [0.14, 0.05]),
+            ([step + 0.04, y, 0.05], [0.13, 0.05]),
+            ([step, y, 0.1], [0.06, 0.05]),
+        ];
+        loft(out, 1.0, &shoe, hair);
+        let hand = -0.9 * step;
+        let arm = [
+            ([hand, 0.27 * side, 0.8], [0.034, 0.032]),
+            ([0.4 * hand - 0.05, 0.27 * side, 1.1], [0.046, 0.044]),
+            ([0.0, 0.22 * side, 1.4], [0.062, 0.055]),
+            ([0.0, 0.19 * side, 1.45], [0.04, 0.04]),
+        ];
+        loft(out, tall, &arm, coat);
+        let fingers = [
+            ([hand + 0.03, 0.26 * side, 0.64], [0.02, 0.012]),
+            ([hand + 0.01, 0.27 * side, 0.72], [0.042, 0.02]),
+            ([hand, 0.27 * side, 0.8], [0.026, 0.022]),
+        ];
+        loft(out, tall, &fingers, skin);
     }
-    out.prism([0.0, 0.0, up(0.85)], 0.17, 0.22, up(0.62), 8, coat);
-    out.prism([0.0, 0.0, up(1.46)], 0.06, 0.06, up(0.1), 6, skin);
-    out.prism([0.02, 0.0, up(1.53)], 0.08, 0.1, up(0.15), 8, skin);
-    out.prism([-0.01, 0.0, up(1.67)], 0.105, 0.05, up(0.08), 8, hair);
+    let trunk = [
+        ([0.0, 0.0, 0.84], [0.12, 0.17]),
+        ([0.0, 0.0, 0.98], [0.115, 0.165]),
+        ([0.0, 0.0, 1.14], [0.105, 0.15]),
+        ([0.01, 0.0, 1.32], [0.125, 0.19]),
+        ([0.0, 0.0, 1.42], [0.105, 0.2]),
+        ([0.0, 0.0, 1.49], [0.06, 0.09]),
+    ];
+    loft(out, tall, &trunk, coat);
+    let head = [
+        ([0.0, 0.0, 1.44], [0.055, 0.055]),
+        ([0.0, 0.0, 1.53], [0.055, 0.052]),
+        ([0.03, 0.0, 1.55], [0.075, 0.055]),
+        ([0.02, 0.0, 1.6], [0.095, 0.07]),
+        ([0.01, 0.0, 1.67], [0.1, 0.077]),
+        ([0.0, 0.0, 1.74], [0.08, 0.065]),
+    ];
+    loft(out, tall, &head, skin);
+    let crown = [
+        ([-0.04, 0.0, 1.57], [0.065, 0.072]),
+        ([-0.025, 0.0, 1.66], [0.09, 0.084]),
+        ([-0.012, 0.0, 1.69], [0.105, 0.085]),
+        ([-0.01, 0.0, 1.74], [0.092, 0.074]),
+        ([-0.01, 0.0, 1.78], [0.045, 0.04]),
+    ];
+    loft(out, tall, &crown, hair);
 }
 
-/// A bar from one point to another.
-fn limb(out: &mut Builder, from: [f32; 3], to: [f32; 3], width: f32, material: Material) {
-    let along = sub(to, from);
-    let reference = if along[2].abs() > 0.5 * norm(along) {
-        [1.0, 0.0, 0.0]
-    } else {
-        [0.0, 0.0, 1.0]
+/// Sides of what is round.
+const SIDES: usize = 8;
+
+/// A closed body through level ellipses, the lowest first: their middles and half axes along x and y, metres; heights times `tall`.
+fn loft(out: &mut Builder, tall: f32, rings: &[([f32; 3], [f32; 2])], material: Material) {
+    let point = |ring: usize, k: usize| {
+        let ([x, y, z], [a, b]) = rings[ring];
+        let (sin, cos) = (k as f32 * std::f32::consts::TAU / SIDES as f32).sin_cos();
+        [x + a * cos, y + b * sin, z * tall]
     };
-    let side = cross(along, reference);
-    let u = scale(side, width / norm(side).max(1e-6));
-    let front = cross(along, u);
-    let v = scale(front, width / norm(front).max(1e-6));
-    let corner = sub(from, scale(add(u, v), 0.5));
-    // The four sides outwards: u × along = −v up to length, and so on.
-    out.quad(corner, u, along, material);
-    out.quad(add(corner, u), v, along, material);
-    out.quad(add(corner, add(u, v)), scale(u, -1.0), along, material);
-    out.quad(add(corner, v), scale(v, -1.0), along, material);
-    out.quad(corner, v, u, material);
-    out.quad(add(corner, along), u, v, material);
+    let middle = |ring: usize| {
+        let [x, y, z] = rings[ring].0;
+        [x, y, z * tall]
+    };
+    let last = rings.len() - 1;
+    let mut triangle = |p: [f32; 3], q: [f32; 3], r: [f32; 3]| {
+        out.triangle(p, sub(q, p), sub(r, p), material);
+    };
+    for k in 0..SIDES {
+        for ring in 0..last {
+            let (p, q) = (point(ring, k), point(ring, k + 1));
+            let (r, s) = (point(ring + 1, k), point(ring + 1, k + 1));
+            triangle(p, q, r);
+            triangle(s, r, q);
+        }
+        triangle(middle(last), point(last, k), point(last, k + 1));
+        triangle(middle(0), point(0, k + 1), point(0, k));
+    }
 }
 
 #[cfg(test)]

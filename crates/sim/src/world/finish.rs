@@ -165,6 +165,24 @@ impl Material {
         substance: Substance::Sky,
         ..PLAIN
     };
+    /// Clouds over a city at night.
+    pub(crate) const NIGHT_SKY: Self = Self {
+        glow: 4e-4,
+        luminance_cd_m2: 0.05,
+        ..Self::SKY
+    };
+    /// A leaf of a fire door: painted steel.
+    pub(crate) const FIRE_DOOR: Self = Self {
+        tone: 0.52,
+        noise: 0.008,
+        longest_m: 0.5,
+        coverage: 0.01,
+        spread: 0.15,
+        largest_m: 0.02,
+        marks: Marks::Panel(0.06),
+        substance: Substance::Metal,
+        ..PLAIN
+    };
     /// A screen whose content changes.
     pub(crate) const SHOW: Self = Self {
         tone: 0.4,

@@ -40,6 +40,33 @@ pub(crate) enum SmallFacets {
     Flat,
 }
 
+/// What is above a place.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) enum Sky {
+    /// A roof.
+    #[default]
+    Covered,
+    /// The sun, in a clear sky.
+    Day(Sun),
+    /// The sky over a city.
+    Night,
+}
+
+impl Sky {
+    /// The sun, where it shines.
+    pub(crate) fn sun(&self) -> Option<Sun> {
+        match self {
+            Self::Day(sun) => Some(*sun),
+            Self::Covered | Self::Night => None,
+        }
+    }
+
+    /// Whether one stands under it.
+    pub(crate) fn is_open(&self) -> bool {
+        !matches!(self, Self::Covered)
+    }
+}
+
 /// A light so far away that its rays are parallel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sun {
@@ -68,6 +95,12 @@ impl Lamps {
             }
         }
         Self { cells }
+    }
+
+    /// Light at `point`, as if nothing cast shadows.
+    pub(crate) fn unshadowed(&self, point: [f32; 3], normal: [f32; 3]) -> f32 {
+        let lamps = self.near(point).iter();
+        lamps.map(|lamp| arriving(lamp, point, normal)).sum()
     }
 
     fn near(&self, point: [f32; 3]) -> &[Lamp] {
@@ -220,6 +253,17 @@ fn sunshine(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], sun:
     sun.power * cosine * lit as f32 / LANES as f32
 }
 
+/// Light of a lamp at `point` where nothing is in the way.
+fn arriving(lamp: &Lamp, point: [f32; 3], normal: [f32; 3]) -> f32 {
+    let to = sub(lamp.position, point);
+    let distance = norm(to);
+    let cosine = dot(normal, to) / distance;
+    match cosine > 0.0 && distance < LAMP_REACH_M {
+        true => lamp.power * cosine / (distance * distance + 0.1),
+        false => 0.0,
+    }
+}
+
 /// Light that reaches `point` straight from the lamps.
 fn direct(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], lamps: &[Lamp]) -> f32 {
     let mut sum = 0.0;
@@ -228,11 +272,7 @@ fn direct(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], lamps:
         let mut gain = [0.0_f32; 8];
         for (lane, lamp) in group.iter().enumerate() {
             let to = sub(lamp.position, point);
-            let distance = norm(to);
-            let cosine = dot(normal, to) / distance;
-            if cosine > 0.0 && distance < LAMP_REACH_M {
-                gain[lane] = lamp.power * cosine / (distance * distance + 0.1);
-            }
+            gain[lane] = arriving(lamp, point, normal);
             for (lanes, component) in directions.iter_mut().zip(to) {
                 lanes[lane] = component;
             }

@@ -6,11 +6,12 @@ use lsfb_types::ProgressFn;
 
 use super::builder::Surface;
 use super::crowd::Stroll;
-use super::facet::Facet;
+use super::facet::{Facet, Outline};
 use super::irradiance::{
-    Baked, Baking, Found, Optics, Probes, Scene, Spot, SunDisc, bake, key, path, read, write,
+    Baked, Baking, Found, Optics, PointLight, Probes, Scene, Spot, SunDisc, bake, key, path, read,
+    write,
 };
-use super::light::{LightGrid, Sun};
+use super::light::{LightGrid, Sky};
 use super::material::Material;
 use super::skin::LightMaps;
 use super::substance::Substance;
@@ -46,6 +47,7 @@ pub(super) struct Lit {
     pub gloss: Vec<f32>,
     /// Of the facets that do not move: whether they shine by themselves.
     pub shines: Vec<bool>,
+    pub sun: Option<SunDisc>,
     pub report: LightReport,
 }
 
@@ -78,9 +80,9 @@ pub struct LitSurface {
 }
 
 impl LitPlace {
-    pub(crate) fn new(surfaces: &[Surface], sun: Option<Sun>) -> Self {
-        let surfaces = optics_of(surfaces, sun);
-        let (sun, void) = sky(sun);
+    pub(crate) fn new(surfaces: &[Surface], sky: Sky) -> Self {
+        let surfaces = optics_of(surfaces, sky);
+        let (sun, void) = shining(sky);
         Self {
             scene: Scene::new(&surfaces, sun, void),
             surfaces,
@@ -110,27 +112,62 @@ impl LitPlace {
     }
 }
 
+/// What lights a place besides its surfaces.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lights {
+    pub sun: Option<SunDisc>,
+    /// Luminance of what no surface closes off, cd/m².
+    pub void_cd_m2: f32,
+    pub points: Vec<PointLight>,
+}
+
 /// The light of a place: of the `count` first of its surfaces, which do not move, and in the air around people's ways.
 pub(super) fn light(
     surfaces: &[Surface],
     count: usize,
-    (sun, strolls): (Option<Sun>, &[Stroll]),
+    (sky, strolls): (Sky, &[Stroll]),
     config: &LightConfig,
     seed: u64,
     progress: ProgressFn,
 ) -> Result<(LightMaps, Lit), Error> {
-    let optics = optics_of(&surfaces[..count], sun);
-    let (sun, void_cd_m2) = sky(sun);
+    let optics = optics_of(&surfaces[..count], sky);
+    let (sun, void_cd_m2) = shining(sky);
+    let lights = Lights {
+        sun,
+        void_cd_m2,
+        points: Vec::new(),
+    };
+    let gloss = surfaces.iter().map(|s| s.material.gloss).collect();
+    trace(
+        (&optics, gloss),
+        &lights,
+        ways(strolls),
+        config,
+        seed,
+        progress,
+    )
+}
+
+/// The light of surfaces, and in the air of a box on the floor; or what was kept of it. `gloss` is that of all facets, those that move too.
+pub(super) fn trace(
+    (optics, gloss): (&[(Facet, Optics)], Vec<f32>),
+    lights: &Lights,
+    walked: Option<[[f32; 3]; 2]>,
+    config: &LightConfig,
+    seed: u64,
+    progress: ProgressFn,
+) -> Result<(LightMaps, Lit), Error> {
+    let count = optics.len();
     let baking = Baking {
         spacing_m: match config.spacing_m {
-            0.0 => spacing_m(&optics),
+            0.0 => spacing_m(optics),
             wanted_m => wanted_m as f32,
         },
         paths: config.paths as usize,
         seed,
     };
-    let walked = ways(strolls);
-    let key = key(&optics, sun, void_cd_m2, &baking, walked);
+    let (sun, void_cd_m2) = (lights.sun, lights.void_cd_m2);
+    let key = key(optics, (sun, &lights.points), void_cd_m2, &baking, walked);
     let file = (!config.cache.as_os_str().is_empty()).then(|| path(&config.cache, &key));
     let found = match &file {
         Some(file) => read(file, &key),
@@ -146,9 +183,9 @@ pub(super) fn light(
     let baked = match known {
         Some(light) => light,
         None => {
-            let scene = Scene::new(&optics, sun, void_cd_m2);
+            let scene = Scene::new(optics, sun, void_cd_m2).with_points(lights.points.clone());
             let light = Baked {
-                grids: bake(&scene, &optics, &baking, progress)?,
+                grids: bake(&scene, optics, &baking, progress)?,
                 probes: walked
                     .map(|area| Probes::bake(&scene, area, seed))
                     .unwrap_or_default(),
@@ -160,7 +197,7 @@ pub(super) fn light(
         }
     };
     let mut maps = LightMaps::default();
-    for (grid, (_, optics)) in baked.grids.iter().zip(&optics) {
+    for (grid, (_, optics)) in baked.grids.iter().zip(optics) {
         let relative = LightGrid {
             values: grid.values.iter().map(|lx| lx / NOMINAL_LX).collect(),
             ..*grid
@@ -175,8 +212,9 @@ pub(super) fn light(
     };
     let lit = Lit {
         probes: baked.probes,
-        gloss: surfaces.iter().map(|s| s.material.gloss).collect(),
+        gloss,
         shines: optics.iter().map(|o| o.1.luminance_cd_m2 > 0.0).collect(),
+        sun,
         report,
     };
     Ok((maps, lit))
@@ -187,9 +225,9 @@ fn exitance_lx(optics: &Optics) -> f32 {
     std::f32::consts::PI * optics.luminance_cd_m2 / optics.albedo.max(0.02)
 }
 
-fn optics_of(surfaces: &[Surface], sun: Option<Sun>) -> Vec<(Facet, Optics)> {
-    let outside = sun.is_some();
-    let optics = |material: &Material| Optics {
+fn optics_of(surfaces: &[Surface], sky: Sky) -> Vec<(Facet, Optics)> {
+    let outside = sky.sun().is_some();
+    let optics = |material: &Material, is_leaf: bool| Optics {
         albedo: material.tone.clamp(0.02, 0.95),
         luminance_cd_m2: match material.substance {
             Substance::Glass if outside && material.luminance_cd_m2 > 0.0 => {
@@ -199,15 +237,19 @@ fn optics_of(surfaces: &[Surface], sun: Option<Sun>) -> Vec<(Facet, Optics)> {
         },
         glass: material.glass,
         backdrop: material.is_backdrop(),
+        leaf: is_leaf && material.substance == Substance::Leaves,
     };
-    let with = |s: &Surface| (s.facet, optics(&s.material));
+    let is_leaf = |facet: &Facet| facet.outline() == Outline::Triangle;
+    let with = |s: &Surface| (s.facet, optics(&s.material, is_leaf(&s.facet)));
     surfaces.iter().map(with).collect()
 }
 
 /// The sun, and the luminance of the sky where no backdrop is.
-fn sky(sun: Option<Sun>) -> (Option<SunDisc>, f32) {
-    let Some(sun) = sun else {
-        return (None, 0.0);
+fn shining(sky: Sky) -> (Option<SunDisc>, f32) {
+    let sun = match sky {
+        Sky::Covered => return (None, 0.0),
+        Sky::Night => return (None, Material::NIGHT_SKY.luminance_cd_m2),
+        Sky::Day(sun) => sun,
     };
     // IES RP-21, "Calculation of Daylight Availability", clear sky: 128 klx outside the atmosphere, extinction 0.21 for each air mass.
     let air_mass = 1.0 / sun.direction[2].max(0.05);

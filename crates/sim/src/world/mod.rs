@@ -19,6 +19,7 @@ mod floor_plan;
 pub(crate) mod furniture;
 mod gltf;
 mod grain;
+mod imported;
 mod irradiance;
 mod letters;
 pub(crate) mod light;
@@ -33,6 +34,7 @@ mod print;
 mod ray;
 mod room;
 mod shade;
+mod shadow;
 mod skin;
 mod substance;
 pub(crate) mod vector;
@@ -45,7 +47,7 @@ use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use crate::noise::hash;
 use atlas::Atlas;
-pub(crate) use blueprint::Blueprint;
+pub(crate) use blueprint::{Blueprint, ClosedDoor};
 use bvh::Bvh;
 use crowd::{Crowd, Moment, Passer};
 pub use facet::{Facet, Outline};
@@ -54,6 +56,7 @@ use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 use lit::Lit;
 pub use lit::{LightReport, LitPlace, LitSurface};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
+pub(crate) use room::furnish;
 pub(crate) use shade::Seen;
 use skin::{Beyond, LightMaps, Skin};
 pub use substance::Substance;
@@ -80,6 +83,16 @@ pub struct World {
     crowd: Crowd,
     /// Where light was traced; `None` for simple light.
     lit: Option<Lit>,
+    /// Where it is night.
+    night: Option<Night>,
+    closed: Option<ClosedDoor>,
+}
+
+/// Simple light on what moves at night, where it is not the same everywhere; nothing in traced light, which has its own.
+#[derive(Clone, Debug, Default)]
+struct Night {
+    lamps: Lamps,
+    ambient: f32,
 }
 
 /// The nearest surface along a ray.
@@ -95,7 +108,7 @@ impl World {
     /// Builds the furnished room and corridor of `seed`, with texels of `texel_m` metres.
     pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Result<Self, Stopped> {
         let plan = FloorPlan::new(seed);
-        let (builder, lamps) = room::furnish(&plan, seed);
+        let (builder, lamps) = furnish(&plan, seed);
         let lighting = Lighting {
             lamps: Lamps::new(&lamps),
             sun: None,
@@ -158,6 +171,8 @@ impl World {
             light: LightMaps::default(),
             crowd: Crowd::default(),
             lit: None,
+            night: None,
+            closed: None,
         })
     }
 
@@ -179,6 +194,8 @@ impl World {
             light: LightMaps::default(),
             crowd: Crowd::default(),
             lit: None,
+            night: None,
+            closed: None,
         }
     }
 
@@ -222,6 +239,26 @@ impl World {
     /// Whether light is traced, over its whole range.
     pub(crate) fn is_lit(&self) -> bool {
         self.lit.is_some()
+    }
+
+    /// Whether it is night.
+    pub(crate) fn is_night(&self) -> bool {
+        self.night.is_some()
+    }
+
+    /// The door that has been closed.
+    pub(crate) fn closed_door(&self) -> Option<&ClosedDoor> {
+        self.closed.as_ref()
+    }
+
+    /// Square root of the light on a small surface of somebody who moves, 1 being nominal.
+    #[inline]
+    fn light_around(&self, point: [f32; 3], normal: [f32; 3]) -> f32 {
+        match (&self.lit, &self.night) {
+            (Some(lit), _) => lit.around(point, normal),
+            (None, Some(night)) => (night.ambient + night.lamps.unshadowed(point, normal)).sqrt(),
+            (None, None) => 1.0,
+        }
     }
 
     /// Illuminance at `(a, b)` of a facet that does not move, lux; `None` where it shines by itself, and where light is not traced.

@@ -51,7 +51,6 @@ pub struct PacketHit {
 
 impl PacketHit {
     /// Nothing hit, up to a limit.
-    #[cfg(test)]
     pub(crate) fn nothing(limit: f32x8) -> Self {
         Self {
             distance: limit,

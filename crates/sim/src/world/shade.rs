@@ -112,17 +112,23 @@ impl World {
             let far = self.outlook(number, [a, b], (ray_there, facet.normal), angle_rad);
             let mut value =
                 far.unwrap_or_else(|| self.radiance(number, a, b, footprint, moment.time_s));
-            if carrier != 0
-                && let Some(lit) = &self.lit
-            {
+            if carrier != 0 {
                 let normal = moment.in_world(carrier, facet.normal);
-                value *= lit.around(point, normal);
+                value *= self.light_around(point, normal);
             }
             Seen {
                 value,
                 facet: number as u32,
             }
         });
+        if let Some(lit) = &self.lit
+            && moment.has_people()
+        {
+            let points: [[f32; 3]; LANES] = std::array::from_fn(|lane| {
+                std::array::from_fn(|i| origins[i][lane] + distance[lane] * lanes[i][lane])
+            });
+            self.shade_by_people(lit, &hit, &points, moment, &mut seen);
+        }
         if polish.any {
             let rays = polish.rays(2e-3, &polish.back);
             let angle_rad = angle_rad + POLISH_RAD;

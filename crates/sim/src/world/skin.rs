@@ -147,6 +147,11 @@ impl LightMaps {
         (top + v * (low - top)) * STEP
     }
 
+    /// Whether there is no light at all.
+    pub(crate) fn are_dark(&self) -> bool {
+        self.values.iter().all(|value| *value == 0)
+    }
+
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
         self.values.len() * 2 + self.maps.len() * size_of::<LightMap>()

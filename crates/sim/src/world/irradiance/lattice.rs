@@ -40,6 +40,10 @@ const DENSEST_M: f32 = 0.1;
 const CONTRAST: f32 = 0.25;
 /// A node of whose paths more begin inside something is covered by it.
 const BURIED: f32 = 0.25;
+/// Between the nodes of a leaf, metres, and the share of the paths (one of so many) that it gets. Trees of a park have half a million nodes otherwise,
+/// each in a narrow place where nothing can be interpolated.
+const LEAF_M: f32 = 0.4;
+const LEAF_PATHS: usize = 4;
 /// Rings of nodes to which light is carried on below what covers them, so that interpolation up to its border finds no darkness.
 const RINGS: usize = 3;
 /// Nodes keep this far from the border of their facet, in spacings: on the border they would lie within the neighbour.
@@ -134,13 +138,17 @@ struct Sheet<'a> {
     step_m: [f32; 2],
     inset: [f32; 2],
     dark: bool,
+    leaf: bool,
 }
 
 impl<'a> Sheet<'a> {
     fn new(number: usize, facet: &'a Facet, optics: &Optics, baking: &Baking) -> Self {
         let lengths = [norm(facet.edge_a), norm(facet.edge_b)];
         let sparsest_m = (lengths[0] * lengths[1] / MOST_NODES).sqrt();
-        let spacing_m = baking.spacing_m.max(sparsest_m);
+        let spacing_m = match optics.leaf {
+            true => baking.spacing_m.max(LEAF_M),
+            false => baking.spacing_m.max(sparsest_m),
+        };
         let dark = optics.backdrop || optics.glass;
         let single = dark || lengths.iter().all(|l| *l < spacing_m);
         let nodes = |length: f32| match single {
@@ -158,6 +166,7 @@ impl<'a> Sheet<'a> {
             step_m: std::array::from_fn(|i| lengths[i] / steps[i]),
             inset: lengths.map(|l| (INSET * spacing_m / l).min(0.3)),
             dark,
+            leaf: optics.leaf,
         }
     }
 
@@ -287,9 +296,11 @@ impl<'a> Patch<'a> {
         if !self.nodes[k].computed && !self.nodes[k].buried {
             let spot = self.sheet.spot(at);
             let light = Light::Indirect(self.straight);
-            let gathered = self
-                .scene
-                .gather(&spot, self.baking.paths, self.seed(at), light);
+            let paths = match self.sheet.leaf {
+                true => self.baking.paths.div_ceil(LEAF_PATHS),
+                false => self.baking.paths,
+            };
+            let gathered = self.scene.gather(&spot, paths, self.seed(at), light);
             self.nodes[k] = Node {
                 indirect_lx: gathered.illuminance_lx,
                 room_m: gathered.room_m,
@@ -306,7 +317,7 @@ impl<'a> Patch<'a> {
         let count = [high[0] - low[0], high[1] - low[1]];
         let sides_m: [f32; 2] = std::array::from_fn(|i| count[i] as f32 * self.sheet.step_m[i]);
         let size_m = sides_m[0].max(sides_m[1]);
-        let divisible = (0..2).any(|i| count[i] > 1) && size_m > DENSEST_M;
+        let divisible = !self.sheet.leaf && (0..2).any(|i| count[i] > 1) && size_m > DENSEST_M;
         if divisible && needs_more(&corners, size_m) {
             // The longer side alone, where the other is much shorter.
             let halved: [bool; 2] =

@@ -15,7 +15,7 @@ mod tracer;
 pub(crate) use lattice::{Baking, bake};
 pub(crate) use optics::Optics;
 pub(crate) use probes::Probes;
-pub(crate) use scene::{Scene, SunDisc};
+pub(crate) use scene::{PointLight, Scene, SunDisc};
 pub(crate) use store::{Baked, Found, key, path, read, write};
 pub(crate) use tracer::Spot;
 

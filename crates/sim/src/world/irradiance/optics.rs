@@ -11,4 +11,6 @@ pub(crate) struct Optics {
     pub glass: bool,
     /// Whether it is so far away that nothing lights it and nothing is shaded by it.
     pub backdrop: bool,
+    /// Whether it is one of many small sheets among each other, none of which is looked at closely: leaves.
+    pub leaf: bool,
 }

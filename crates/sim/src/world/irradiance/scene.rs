@@ -5,7 +5,7 @@ use wide::f32x8;
 use super::super::bvh::Bvh;
 use super::super::facet::Facet;
 use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
-use super::super::vector::{dot, norm};
+use super::super::vector::{dot, norm, sub};
 use super::emitters::{Emitters, is_compact};
 use super::optics::Optics;
 
@@ -27,6 +27,32 @@ pub(crate) struct SunDisc {
     pub illuminance_lx: f32,
 }
 
+/// A lamp without a body, which shines evenly within a cone and less towards its border, as glTF's `KHR_lights_punctual` has them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PointLight {
+    pub position: [f32; 3],
+    /// Axis of the cone, of length 1.
+    pub direction: [f32; 3],
+    pub intensity_cd: f32,
+    /// Of the angles from the axis at which it begins to fade, and where it ends; below −1 where it does not.
+    pub cosines: [f32; 2],
+}
+
+impl PointLight {
+    /// The way there from a spot, and the illuminance of the spot, nothing being in the way, lux.
+    pub(super) fn arriving(&self, from: [f32; 3], normal: [f32; 3]) -> ([f32; 3], f32) {
+        let to = sub(self.position, from);
+        let squared = dot(to, to).max(1e-6);
+        let distance = squared.sqrt();
+        let [inner, outer] = self.cosines;
+        let along = -dot(self.direction, to) / distance;
+        // Squared, as the extension recommends.
+        let share = ((along - outer) / (inner - outer).max(1e-3)).clamp(0.0, 1.0);
+        let cosine = (dot(normal, to) / distance).max(0.0);
+        (to, self.intensity_cd * share * share * cosine / squared)
+    }
+}
+
 /// Mean radius of the sun's disc, radians.
 pub(super) const SUN_RADIUS_RAD: f32 = 0.004_65;
 
@@ -37,9 +63,12 @@ pub(crate) struct Scene {
     /// Where each was in the list that the scene was made of.
     sources: Vec<usize>,
     bvh: Bvh,
+    /// Of facets that lie back to back: the other one, else [`NO_FACET`].
+    backs: Vec<u32>,
     panes: Option<(Vec<Facet>, Bvh)>,
     pub(super) emitters: Emitters,
     pub(super) sun: Option<SunDisc>,
+    pub(super) points: Vec<PointLight>,
     /// Luminance where there is nothing at all, cd/m².
     pub(super) void_cd_m2: f32,
 }
@@ -75,14 +104,21 @@ impl Scene {
         let emitters = Emitters::new(&facets, &optics, void_cd_m2);
         Self {
             panes: (!glass.is_empty()).then_some((glass, glass_bvh)),
+            backs: backs(&facets),
             facets,
             optics,
             sources,
             bvh,
             emitters,
             sun,
+            points: Vec::new(),
             void_cd_m2,
         }
+    }
+
+    /// The same with lamps that have no bodies.
+    pub(crate) fn with_points(self, points: Vec<PointLight>) -> Self {
+        Self { points, ..self }
     }
 
     pub(super) fn facet(&self, number: u32) -> &Facet {
@@ -101,9 +137,19 @@ impl Scene {
     /// The nearest surfaces within `limit`, seen from either side.
     pub(super) fn meet(&self, rays: &RayPacket, limit: f32x8) -> Met {
         let hit = self.bvh.cast_either(&self.facets, rays, limit);
+        let along = rays.direction.map(|d| d.to_array());
         Met {
             distance: hit.distance.to_array(),
-            facet: hit.facet,
+            facet: std::array::from_fn(|lane| {
+                let facet = hit.facet[lane];
+                let back = self.backs.get(facet as usize).copied().unwrap_or(NO_FACET);
+                let ray = along.map(|a| a[lane]);
+                // Of two back to back either may be found first: seen is the one that faces the ray.
+                match back != NO_FACET && !self.is_front(facet, ray) {
+                    true => back,
+                    false => facet,
+                }
+            }),
             through: self.transmittance(rays, hit.distance),
         }
     }
@@ -180,4 +226,31 @@ impl Scene {
     pub(super) fn is_front(&self, facet: u32, direction: [f32; 3]) -> bool {
         dot(self.facet(facet).normal, direction) < 0.0
     }
+}
+
+/// Of each facet the one that has the same vertices and faces the other way, where there is one.
+fn backs(facets: &[Facet]) -> Vec<u32> {
+    let mut keyed: Vec<([[u32; 3]; 4], u32)> = facets
+        .iter()
+        .enumerate()
+        .map(|(k, facet)| {
+            let mut key = [[0; 3]; 4];
+            for (bits, vertex) in key.iter_mut().zip(facet.vertices()) {
+                // Minus zero is zero.
+                *bits = vertex.map(|v| (v + 0.0).to_bits());
+            }
+            key.sort_unstable();
+            (key, k as u32)
+        })
+        .collect();
+    keyed.sort_unstable();
+    let mut backs = vec![NO_FACET; facets.len()];
+    for pair in keyed.windows(2) {
+        let [(key, a), (other, b)] = [pair[0], pair[1]];
+        let faces = |k: u32| facets[k as usize].normal;
+        if key == other && dot(faces(a), faces(b)) < 0.0 {
+            (backs[a as usize], backs[b as usize]) = (b, a);
+        }
+    }
+    backs
 }

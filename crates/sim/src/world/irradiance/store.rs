@@ -9,11 +9,11 @@ use super::super::light::LightGrid;
 use super::lattice::Baking;
 use super::optics::Optics;
 use super::probes::Probes;
-use super::scene::SunDisc;
+use super::scene::{PointLight, SunDisc};
 use crate::Error;
 
 /// Changes whenever the same place would get other light.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const MAGIC: &[u8; 8] = b"LSFBLUX\n";
 /// Length of a SHA-256.
 const HASH: usize = 32;
@@ -37,7 +37,7 @@ pub(crate) enum Found {
 /// Hash of all that the light of a place depends on.
 pub(crate) fn key(
     surfaces: &[(Facet, Optics)],
-    sun: Option<SunDisc>,
+    (sun, points): (Option<SunDisc>, &[PointLight]),
     void_cd_m2: f32,
     baking: &Baking,
     walked: Option<[[f32; 3]; 2]>,
@@ -55,6 +55,11 @@ pub(crate) fn key(
         put(&sun.direction);
         put(&[sun.illuminance_lx]);
     }
+    for light in points {
+        put(&[light.position, light.direction].concat());
+        put(&[light.intensity_cd, light.cosines[0], light.cosines[1]]);
+    }
+    put(&[points.len() as f32]);
     put(walked.unwrap_or_default().as_flattened());
     for (facet, optics) in surfaces {
         put(&[facet.corner, facet.edge_a, facet.edge_b].concat());
@@ -62,6 +67,7 @@ pub(crate) fn key(
             facet.outline() == Outline::Triangle,
             optics.glass,
             optics.backdrop,
+            optics.leaf,
         ];
         put(&flags.map(|flag| f32::from(u8::from(flag))));
         put(&[optics.albedo, optics.luminance_cd_m2]);

@@ -72,7 +72,7 @@ impl Scene {
     pub(super) fn straight_lx(&self, spot: &Spot, seed: u64) -> f32 {
         let start = add(spot.point, scale(spot.normal, CLEARANCE_M));
         let mut draws = Draws::new(seed);
-        let mut sum = self.sunshine_lx(spot, start, &mut draws);
+        let mut sum = self.sunshine_lx(spot, start, &mut draws) + self.points_lx(spot, start);
         let choices = self.emitters.near(start);
         let bring = |facet: u32| {
             let luminance = self.optics(facet).luminance_cd_m2;
@@ -144,6 +144,19 @@ impl Scene {
         let packet = RayPacket::from_point(start, rays.to.map(f32x8::new));
         let seen = self.visibility(&packet, f32x8::new(limit));
         (0..LANES).map(|lane| rays.gain[lane] * seen[lane]).sum()
+    }
+
+    fn points_lx(&self, spot: &Spot, start: [f32; 3]) -> f32 {
+        let mut sum = 0.0;
+        for group in self.points.chunks(LANES) {
+            let mut rays = Rays::default();
+            for light in group {
+                let (to, lux) = light.arriving(start, spot.normal);
+                rays.push(to, lux);
+            }
+            sum += self.in_sight(&rays, start);
+        }
+        sum
     }
 
     fn sunshine_lx(&self, spot: &Spot, start: [f32; 3], draws: &mut Draws) -> f32 {

@@ -238,6 +238,25 @@ impl Scene {
                 paths.brought[lane] += paths.weight[lane] * gain[lane] * seen[lane] / PI;
             }
         }
+        if !self.points.is_empty() {
+            let mut to = [[0.0_f32; LANES]; 3];
+            let mut gain = [0.0_f32; LANES];
+            for lane in (0..LANES).filter(|&lane| paths.weight[lane] > 0.0) {
+                let count = self.points.len();
+                let which = (paths.draws[lane].next() * count as f32) as usize;
+                let light = &self.points[which.min(count - 1)];
+                let (way, lux) = light.arriving(paths.point(lane), paths.normals[lane]);
+                gain[lane] = lux * count as f32;
+                for (lanes, component) in to.iter_mut().zip(way) {
+                    lanes[lane] = component;
+                }
+            }
+            let limit = gain.map(|g| if g > 0.0 { 0.999 } else { 0.0 });
+            let seen = self.visibility(&paths.towards(&to), f32x8::new(limit));
+            for lane in 0..LANES {
+                paths.brought[lane] += paths.weight[lane] * gain[lane] * seen[lane] / PI;
+            }
+        }
         if let Some(sun) = self.sun {
             let frame = Frame::about(sun.direction);
             let mut to = [[0.0_f32; LANES]; 3];

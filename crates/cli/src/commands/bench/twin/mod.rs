@@ -55,7 +55,7 @@ pub struct Arguments {
     devices: Vec<Device>,
     /// How the place has changed between scan and walk, separated by commas: as-scanned; six-months, in which half of what
     /// people move has been moved; crowd, with a dozen people more; other-floor, on another floor that is built alike, where every
-    /// pose is wrong.
+    /// pose is wrong; night, with few lamps lit; fire-door, with a door closed that stood open (large-office, house-park, both corridors).
     #[arg(long = "condition", visible_alias = "conditions", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
     /// Number of seeds.
@@ -140,9 +140,34 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
     let devices = or_all(&arguments.devices, &Device::ALL);
+    let conditions = |place: Place| {
+        let all = arguments.conditions.iter();
+        all.filter(move |condition| condition.is_possible_in(place))
+    };
+    let walks_of = |place: &Place| devices.len() * conditions(*place).count();
+    for place in &places {
+        for condition in &arguments.conditions {
+            if !condition.is_possible_in(*place) {
+                context.note(&format!(
+                    "{}: has no door that could be closed, and so no {} walks",
+                    place.name(),
+                    condition.name()
+                ));
+            }
+        }
+    }
+    let doored = Place::ENVIRONMENTS
+        .into_iter()
+        .filter(|p| p.has_fire_doors());
+    let doored: Vec<&str> = doored.map(Place::name).collect();
+    let of_a_seed: usize = places.iter().map(walks_of).sum();
+    anyhow::ensure!(
+        of_a_seed > 0,
+        "no walk is left: none of the places has a door that could be closed; choose --place {}",
+        doored.join(",")
+    );
     let last = arguments.seed.saturating_add(arguments.seeds - 1);
-    let total =
-        places.len() * devices.len() * arguments.conditions.len() * arguments.seeds as usize;
+    let total = of_a_seed * arguments.seeds as usize;
     let (began, mut made, mut runs) = (Instant::now(), 0, Vec::new());
     for seed in arguments.seed..=last {
         for place in &places {
@@ -153,7 +178,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             };
             let mut scan = Scan::new(&trial, scanned);
             for device in &devices {
-                for condition in &arguments.conditions {
+                for condition in conditions(*place) {
                     let walked = Walked {
                         scanned,
                         condition: *condition,

@@ -29,14 +29,20 @@ pub enum Condition {
     Crowd,
     /// Nothing, but the walk is on another floor that is built alike: half of what people move is another there.
     OtherFloor,
+    /// It is night, and nobody works there.
+    Night,
+    /// A door that stood open has been closed.
+    FireDoor,
 }
 
 impl Condition {
-    const ALL: [Self; 4] = [
+    const ALL: [Self; 6] = [
         Self::AsScanned,
         Self::SixMonths,
         Self::Crowd,
         Self::OtherFloor,
+        Self::Night,
+        Self::FireDoor,
     ];
 
     /// Its name on the command line and in files.
@@ -46,13 +52,24 @@ impl Condition {
             Self::SixMonths => "six-months",
             Self::Crowd => "crowd",
             Self::OtherFloor => OTHER_FLOOR,
+            Self::Night => "night",
+            Self::FireDoor => "fire-door",
         }
     }
 
     /// The condition of a name.
     pub fn named(name: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|c| c.name() == name);
-        found.ok_or_else(|| "expected as-scanned, six-months, crowd or other-floor".to_owned())
+        found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
+    }
+
+    /// Whether a place can come to be so.
+    pub fn is_possible_in(self, place: Place) -> bool {
+        match self {
+            Self::FireDoor => place.has_fire_doors(),
+            Self::Night => place.has_nights(),
+            Self::AsScanned | Self::SixMonths | Self::Crowd | Self::OtherFloor => true,
+        }
     }
 }
 
@@ -146,6 +163,8 @@ impl Walked {
             Condition::SixMonths => config.months_later = MONTHS,
             Condition::Crowd => config.crowd = CROWD,
             Condition::OtherFloor => config.months_later = MONTHS_TO_ANOTHER_FLOOR,
+            Condition::Night => config.night = true,
+            Condition::FireDoor => config.fire_door = true,
         }
         config
     }
@@ -219,6 +238,32 @@ mod tests {
             let walk = walked.config();
             assert_eq!((walk.scan, walk.seed), (scan.scan.clone(), scan.seed));
             assert_eq!((walk.months_later, scan.months_later), (MONTHS, 0));
+        }
+    }
+
+    #[test]
+    fn every_condition_can_be_simulated_where_it_is_possible_and_nowhere_else() {
+        for place in Place::ENVIRONMENTS {
+            for condition in Condition::ALL {
+                let size = Size::Quick;
+                let scanned = Scanned {
+                    place,
+                    seed: 2,
+                    size,
+                };
+                let walked = Walked {
+                    scanned,
+                    condition,
+                    device: Device::Iphone,
+                };
+                let is_possible = condition.is_possible_in(place);
+                assert_eq!(
+                    walked.config().check().is_ok(),
+                    is_possible,
+                    "{place:?} {condition:?}"
+                );
+                assert!(!scanned.config().night && !scanned.config().fire_door);
+            }
         }
     }
 }
