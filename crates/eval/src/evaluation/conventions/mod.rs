@@ -151,6 +151,27 @@ pub(super) fn mirrored(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     })
 }
 
+/// Whether the estimate's poses are of the world in the body.
+pub(super) fn inverse(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
+    let turned: Vec<PosePair> = pairs
+        .iter()
+        .map(|pair| {
+            let mut pair = *pair;
+            pair.estimate.world_from_rig = pair.estimate.world_from_rig.inverse();
+            pair
+        })
+        .collect();
+    let inverse_m = error_m(&turned, AlignmentMode::Sim3)?;
+    (inverse_m < LESS * best_m).then(|| {
+        let what = format!(
+            "the estimate's poses are those of the world in the body: its error is {best_m:.3} m rms, and {inverse_m:.3} m with each of them inverted"
+        );
+        Finding::new("inverse", Verdict::Fail, "poses", what)
+            .value(inverse_m, "m")
+            .remedy("invert every pose (world_from_body), and evaluate again")
+    })
+}
+
 /// Whether the estimate's stamps are late or early by a constant time.
 pub(super) fn clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let step = pairs.len().div_ceil(MOST_PAIRS).max(1);
