@@ -109,8 +109,13 @@ pub(super) fn of(
                     .then(|| conventions::inverse(pairs, best_m))
                     .flatten(),
             );
-            let named = (!is_lost).then(|| one_cause(found, pairs, best_m));
-            findings.extend(named.flatten());
+            let named = (!is_lost)
+                .then(|| one_cause(found, pairs, best_m))
+                .flatten();
+            let is_late = named.as_ref().is_some_and(|f| f.code == "clock");
+            findings.extend(named);
+            let turns = has_rotations && !is_lost && !is_late;
+            findings.extend(turns.then(|| conventions::late_turns(aligned)).flatten());
         }
         if let Some(rotation) = found.ate_rotation_deg.filter(|_| !is_lost) {
             findings.extend(conventions::orientations(pairs, aligned, rotation.rmse));

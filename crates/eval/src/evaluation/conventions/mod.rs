@@ -9,7 +9,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use crate::alignment::{AlignmentMode, align};
 use crate::association::PosePair;
 
-pub(super) use explained::{axes, lever, running_clock};
+pub(super) use explained::{axes, late_turns, lever, running_clock};
 
 /// Rotations that are as near to the truth as this need no explanation, degrees rms.
 const NEAR_DEG: f64 = 10.0;
@@ -209,6 +209,9 @@ pub(super) fn clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
         shifted = at_stamps(offset_secs);
     }
     let left_m = error_m(&shifted, AlignmentMode::Sim3)?;
+    // Of the same pairs: those between may hold a few that are far off.
+    let sampled: Vec<PosePair> = some.iter().map(|(pair, _)| *pair).collect();
+    let best_m = best_m.min(error_m(&sampled, AlignmentMode::Sim3)?);
     (left_m < LESS * best_m && offset_secs.abs() > LEAST_OFFSET_SECS).then(|| {
         let side = if offset_secs > 0.0 { "late" } else { "early" };
         let what = format!(
