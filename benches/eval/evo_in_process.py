@@ -3,6 +3,7 @@
     python3 -m venv venv && venv/bin/pip install evo
     venv/bin/python evo_in_process.py t.tum e.tum        # writes both, 17 210 poses of a made-up walk, and measures
     perf stat -e task-clock lsfb --threads 1 eval e.tum --truth t.tum
+    cargo run --release --workspace --example judge_17000 -- t.tum e.tum          # ours in one process likewise
 """
 
 import copy

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_eval::{ReadOptions, read_kitti_poses, read_poses, read_trajectory};
+use lsfb_eval::{ReadOptions, read_poses, read_trajectory};
 use lsfb_geometry::StampedPose;
 use lsfb_recording::{read_tum, write_tum};
 
@@ -30,8 +30,12 @@ fuzz_target!(|data: &[u8]| {
     }
     if !times.is_empty() {
         std::fs::write(&times_path, &times[1..]).expect("a scratch file");
-        if let Ok(poses) = read_kitti_poses(&path, &times_path) {
-            assert_poses(&poses);
+        let options = ReadOptions {
+            times: Some(times_path.clone()),
+            ..ReadOptions::default()
+        };
+        if let Ok(file) = read_trajectory(&path, &options) {
+            assert_poses(&file.poses);
         }
     }
     if let Ok(trajectory) = read_tum(&path) {

@@ -1,92 +1,87 @@
-//! How long judging takes: 17 000 poses against as many, from files, Sim(3) alignment, as PEERS measures evo.
+//! CPU time of judging two files within one process, beside evo's of the same (`benches/eval/evo_in_process.py`, which makes the files).
 //!
-//! `cargo run --release -p lsfb-eval --example judge_17000 -- FOLDER` leaves `truth.tum` and `estimate.tum` in FOLDER for
-//! `evo_ape tum truth.tum estimate.tum -as` beside it.
+//! `cargo run --release --workspace --example judge_17000 -- truth.tum estimate.tum`
 #![allow(clippy::print_stdout, reason = "an example shows what it found")]
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::time::Instant;
 
-use lsfb_eval::alignment::AlignmentMode;
-use lsfb_eval::{EvalConfig, Evaluation, evaluate, read_poses};
-use lsfb_geometry::{Se3, Vector3, Vector6};
-use lsfb_types::Timestamp;
+use lsfb_eval::alignment::{AlignmentMode, align, apply};
+use lsfb_eval::association::{PosePair, associate};
+use lsfb_eval::metrics::{RelativeSpec, absolute_errors, relative_errors};
+use lsfb_eval::pairs::PairSelection;
+use lsfb_eval::relation::{DeltaUnit, PoseRelation};
+use lsfb_eval::{EvalConfig, Statistics, evaluate, read_poses};
+use lsfb_geometry::StampedPose;
+use nix::time::{ClockId, clock_gettime};
 
-const POSES: u32 = 17_000;
-const RUNS: usize = 5;
+type Problem = Box<dyn std::error::Error>;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = PathBuf::from(
-        std::env::args_os()
-            .nth(1)
-            .ok_or("usage: judge_17000 FOLDER")?,
-    );
-    std::fs::create_dir_all(&folder)?;
-    let (truth, estimate) = (folder.join("truth.tum"), folder.join("estimate.tum"));
-    std::fs::write(&truth, walk(0.0)?)?;
-    std::fs::write(&estimate, walk(0.05)?)?;
+const RUNS: usize = 21;
 
-    let config = EvalConfig {
-        alignment: AlignmentMode::Sim3,
-        ..EvalConfig::default()
+fn main() -> Result<(), Problem> {
+    let files: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let [truth, estimate] = files.as_slice() else {
+        return Err("usage: judge_17000 TRUTH ESTIMATE".into());
     };
-    let mut runs = Vec::new();
+    let mut runs = [Vec::new(), Vec::new(), Vec::new()];
+    let mut found = [0.0; 2];
     for _ in 0..RUNS {
-        let start = Instant::now();
-        let (truth, estimate) = (read_poses(&truth)?, read_poses(&estimate)?);
-        let read_secs = start.elapsed().as_secs_f64();
-        let found = evaluate(&truth, &estimate, &config)?;
-        runs.push((start.elapsed().as_secs_f64(), read_secs, found));
+        let start = cpu_secs()?;
+        let poses = [read_poses(truth)?, read_poses(estimate)?];
+        let read = cpu_secs()?;
+        found = translation_alone(&poses)?;
+        let judged = cpu_secs()?;
+        let both = evaluate(&poses[0], &poses[1], &EvalConfig::default())?;
+        if (both.ate_translation_m.rmse - found[0]).abs() > 1e-12 {
+            return Err("the two ways differ".into());
+        }
+        let all = cpu_secs()?;
+        for (secs, own) in [read - start, judged - start, all - judged + read - start]
+            .into_iter()
+            .zip(&mut runs)
+        {
+            own.push(secs);
+        }
     }
-    runs.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (all_secs, read_secs, found): &(f64, f64, Evaluation) = &runs[RUNS / 2];
+    let [read, alone, all] = runs.map(|mut secs| {
+        secs.sort_by(f64::total_cmp);
+        1000.0 * secs[RUNS / 2]
+    });
+    println!("ATE {:.9} m, RPE per metre {:.9} m", found[0], found[1]);
     println!(
-        "{} poses matched: ATE rmse {:.6} m, RPE rmse per 1 m {:.6} m, scale {:.6}",
-        found.matched_poses,
-        found.ate_translation_m.rmse,
-        found.rpe[0].translation_m.map_or(f64::NAN, |t| t.rmse),
-        found.alignment_scale
+        "median of {RUNS}, ms of CPU: reading {read:.1}; reading, ATE and RPE of translation {alone:.1}; reading and all figures {all:.1}"
     );
-    println!("median of {RUNS}: {all_secs:.4} s in all, {read_secs:.4} s of it reading");
     Ok(())
 }
 
-/// Ten poses a second along a long curl, turned, scaled and shaken by `noise_m` where that is not zero.
-fn walk(noise_m: f64) -> Result<String, std::fmt::Error> {
-    let moved = Se3::exp(&Vector6::new(0.1, -0.2, 0.7, 3.0, 2.0, 1.0));
-    let mut text = String::new();
-    for i in 0..POSES {
-        let t = f64::from(i) * 0.1;
-        let turn = Vector6::new(
-            0.1 * (0.3 * t).cos(),
-            0.1 * (0.2 * t).sin(),
-            0.02 * t,
-            0.0,
-            0.0,
-            0.0,
-        );
-        let place = Vector3::new(
-            20.0 * (0.02 * t).cos(),
-            15.0 * (0.013 * t).sin(),
-            0.5 * (0.1 * t).sin(),
-        );
-        let mut pose = Se3::new(Se3::exp(&turn).rotation, place);
-        if noise_m > 0.0 {
-            // The fractional part of a large sine: repeatable, and random enough to be averaged.
-            let shake =
-                |k: f64| 2.0 * ((f64::from(i) + k).sin() * 43_758.545).rem_euclid(1.0) - 1.0;
-            pose = moved * pose;
-            pose.translation = pose.translation * 0.97
-                + Vector3::new(shake(0.1), shake(0.2), shake(0.3)) * noise_m;
-        }
-        let (p, q) = (pose.translation, pose.rotation);
-        let time = Timestamp::from_secs_f64(1.6e9).plus_secs(t);
-        writeln!(
-            text,
-            "{time} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
-            p.x, p.y, p.z, q.i, q.j, q.k, q.w
-        )?;
-    }
-    Ok(text)
+/// ATE after SE(3) and RPE per metre, as evo is asked for them.
+fn translation_alone([truth, estimate]: &[Vec<StampedPose>; 2]) -> Result<[f64; 2], Problem> {
+    let pairs = associate(truth, estimate, 0.01)?;
+    let alignment = align(&pairs, AlignmentMode::Se3)?;
+    let aligned: Vec<PosePair> = pairs
+        .iter()
+        .map(|pair| {
+            let mut pair = *pair;
+            pair.estimate.world_from_rig = apply(&alignment, &pair.estimate.world_from_rig);
+            pair
+        })
+        .collect();
+    let relation = PoseRelation::TranslationPart;
+    let spec = RelativeSpec {
+        relation,
+        delta: 1.0,
+        unit: DeltaUnit::Metres,
+        selection: PairSelection::Consecutive,
+    };
+    let rmse = |errors: Vec<f64>| Statistics::of(&errors).map(|s| s.rmse).ok_or("no errors");
+    Ok([
+        rmse(absolute_errors(&aligned, relation)?)?,
+        rmse(relative_errors(&aligned, spec)?)?,
+    ])
+}
+
+/// Of this process.
+fn cpu_secs() -> Result<f64, Problem> {
+    let spent = clock_gettime(ClockId::CLOCK_PROCESS_CPUTIME_ID)?;
+    Ok(spent.tv_sec() as f64 + 1e-9 * spent.tv_nsec() as f64)
 }

@@ -48,6 +48,7 @@ mod smoothness;
 mod statistics;
 mod success;
 pub mod survey;
+mod write;
 
 pub use compare::{Comparison, Contender, compare};
 pub use consistency::Consistency;
@@ -57,13 +58,14 @@ pub use evaluation::{
     RpeConfig, RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
 };
 pub use read::{
-    Columns, Orientations, ReadOptions, StampUnit, TrajectoryFile, read_kitti_poses, read_poses,
+    Columns, Orientations, ReadOptions, StampUnit, TrajectoryFile, covariance_in_world, read_poses,
     read_trajectory,
 };
 pub use recall::{Recall, Threshold};
 pub use smoothness::Smoothness;
 pub use statistics::Statistics;
 pub use success::SuccessRate;
+pub use write::{TrajectoryFormat, Written, euroc_text, write_trajectory};
 
 /// `1 pose`, `2 poses`.
 fn count(number: usize, one: &str, many: &str) -> String {

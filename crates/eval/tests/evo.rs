@@ -8,7 +8,9 @@ use lsfb_eval::association::{PosePair, associate};
 use lsfb_eval::metrics::{RelativeSpec, absolute_errors, relative_errors};
 use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::{DeltaUnit, PoseRelation};
-use lsfb_eval::{EvalConfig, RpeConfig, Statistics, evaluate, read_kitti_poses, read_poses};
+use lsfb_eval::{
+    EvalConfig, ReadOptions, RpeConfig, Statistics, evaluate, read_poses, read_trajectory,
+};
 use lsfb_geometry::StampedPose;
 
 /// Trajectories with the figures that evo finds for them.
@@ -188,11 +190,12 @@ fn kitti_rows_take_their_stamps() {
     let Some(folder) = folder("kitti_rows_take_their_stamps") else {
         return;
     };
-    let poses = read_kitti_poses(
-        &folder.join("KITTI_00_gt.txt.gz"),
-        &folder.join("KITTI_00_gt_times.txt.gz"),
-    )
-    .expect("poses and stamps");
+    let options = ReadOptions {
+        times: Some(folder.join("KITTI_00_gt_times.txt.gz")),
+        ..ReadOptions::default()
+    };
+    let read = read_trajectory(&folder.join("KITTI_00_gt.txt.gz"), &options);
+    let poses = read.expect("poses and stamps").poses;
     assert_eq!(poses.len(), 4541);
     assert_eq!(poses[1].time.nanos(), 103_735_900);
 }

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use lsfb_eval::covariance_in_world;
 use lsfb_geometry::{Matrix6, StampedPose};
 
 /// TUM's columns, then the covariance of x, y, z and of rotations about the world's axes, row by row. The covariances are of
@@ -26,13 +27,7 @@ pub fn text<'a>(
             "{} {} {} {} {} {} {} {}",
             pose.time, t.x, t.y, t.z, q.i, q.j, q.k, q.w
         );
-        let rotation = pose.world_from_rig.rotation_matrix();
-        let mut to_world = Matrix6::zeros();
-        to_world.fixed_view_mut::<3, 3>(0, 3).copy_from(&rotation);
-        to_world.fixed_view_mut::<3, 3>(3, 0).copy_from(&rotation);
-        let in_world = to_world * covariance * to_world.transpose();
-        // Symmetric to the last bit.
-        let in_world = (in_world + in_world.transpose()) * 0.5;
+        let in_world = covariance_in_world(covariance, &pose.world_from_rig);
         for value in in_world.iter() {
             let _ = write!(text, " {value:e}");
         }

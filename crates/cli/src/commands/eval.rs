@@ -7,8 +7,8 @@ use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::DeltaUnit;
 use lsfb_eval::report::Report;
 use lsfb_eval::{
-    Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, StampUnit, TrajectoryFile,
-    evaluate_files, read_kitti_poses, read_trajectory,
+    Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, StampUnit, evaluate_files,
+    read_trajectory,
 };
 use lsfb_geometry::Trajectory;
 use lsfb_types::Judgement;
@@ -20,8 +20,8 @@ use crate::outcome::Outcome;
 /// Evaluate a trajectory against ground truth: absolute and relative errors, recall, smoothness.
 ///
 /// Reads the trajectories of any program: TUM text, positions (t x y z), EuRoC csv, KITTI poses, any table with a row of names, kapture,
-/// and poses in MCAP recordings. Unsorted and repeated stamps are sorted and counted. Stamps may be in any unit. KITTI's files carry no
-/// time: row n is at n seconds unless --truth-times is given.
+/// COLMAP's models, and poses in MCAP recordings. Unsorted and repeated stamps are sorted and counted. Stamps may be in any unit. KITTI's
+/// files carry no time: row n is at n seconds unless --estimate-times and --truth-times are given.
 ///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
@@ -37,7 +37,10 @@ pub struct Arguments {
     /// The ground truth.
     #[arg(long, value_name = "TRAJECTORY")]
     truth: PathBuf,
-    /// Stamps of a ground truth in KITTI's format, one per line, in seconds.
+    /// Stamps of an estimate in KITTI's format, one per line.
+    #[arg(long, value_name = "FILE")]
+    estimate_times: Option<PathBuf>,
+    /// Stamps of a ground truth in KITTI's format, likewise.
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
     /// How the estimate is aligned to the ground truth before errors are computed; yaw turns about the vertical z axis alone.
@@ -100,13 +103,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(page) = &arguments.out {
         context.claim(page, &[&arguments.estimate, &arguments.truth])?;
     }
-    let truth = truth(arguments)?;
+    let truth = read_trajectory(
+        &arguments.truth,
+        &ReadOptions {
+            stamp_unit: arguments.truth_stamps,
+            columns: arguments.truth_columns,
+            stream: arguments.truth_stream.clone(),
+            times: arguments.truth_times.clone(),
+        },
+    )?;
     let estimate = read_trajectory(
         &arguments.estimate,
         &ReadOptions {
             stamp_unit: arguments.estimate_stamps,
             columns: arguments.estimate_columns,
             stream: arguments.estimate_stream.clone(),
+            times: arguments.estimate_times.clone(),
         },
     )?;
     let config = config(arguments);
@@ -127,19 +139,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .to_owned()
     })?;
     Ok(Outcome::of(judgement.verdict()))
-}
-
-fn truth(arguments: &Arguments) -> anyhow::Result<TrajectoryFile> {
-    if let Some(times) = &arguments.truth_times {
-        let poses = read_kitti_poses(&arguments.truth, times)?;
-        return Ok(TrajectoryFile::of_poses(poses));
-    }
-    let options = ReadOptions {
-        stamp_unit: arguments.truth_stamps,
-        columns: arguments.truth_columns,
-        stream: arguments.truth_stream.clone(),
-    };
-    Ok(read_trajectory(&arguments.truth, &options)?)
 }
 
 fn config(arguments: &Arguments) -> EvalConfig {

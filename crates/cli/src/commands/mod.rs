@@ -17,6 +17,7 @@ mod calib_target;
 mod calib_verify;
 pub mod clock;
 pub mod completions;
+pub mod convert;
 mod covariance_file;
 pub mod dataset;
 pub mod demo;

@@ -27,13 +27,18 @@ const EVERY_POINT: usize = 23;
 
 /// Draw a dataset on one page: the maps with all walks in them, estimates against the truth, the tables, and what cannot be true.
 ///
-/// Maps are the scans, placed by the truth; walks have a colour for each device. Where the truth is held back, the tables are all there is.
-/// With --estimates, every file SEQUENCE.tum of that folder is drawn and judged against the truth. --out-svg writes the same drawings
-/// for papers; a browser prints the page as PDF or saves it as a picture.
+/// Maps are the scans, placed by the truth; walks have a colour for each device; squares where most walks pass are drawn again, larger, or
+/// those that --inset names (the paper's Fig. 1). Where the truth is held back, the tables are all there is. With --estimates, every file
+/// SEQUENCE.tum of that folder is drawn and judged against the truth. --out-svg writes the same drawings for papers; a browser prints the page
+/// as PDF or saves it as a picture.
+///
+/// Other figures of the paper are drawn where their data come from: Fig. 4 by `lsfb bench ba`, Fig. 5 (several systems on one walk) by `lsfb bench
+/// slam`, Fig. 6 (marks on the floor) by `lsfb survey check --out`, Fig. 7 (a walk against GNSS/INS) by `lsfb align` and `lsfb eval --out`.
 ///
 /// Examples:
 ///   lsfb report dataset --out report.html
 ///   lsfb report dataset --out report.html --estimates found --out-svg figures
+///   lsfb report dataset --out report.html --inset narrow-corridor=12.5,-3,4 --inset narrow-corridor=2,0,4
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -49,6 +54,25 @@ pub struct Arguments {
     /// Also write the drawings as SVG files.
     #[arg(long, value_name = "FOLDER")]
     out_svg: Option<PathBuf>,
+    /// A square of an environment that is drawn again, larger: its middle and side in metres; may be repeated.
+    #[arg(long, value_name = "ENVIRONMENT=X,Y,SIDE", value_parser = inset, allow_hyphen_values = true)]
+    inset: Vec<(String, [f64; 3])>,
+}
+
+/// `narrow-corridor=12.5,-3,4`.
+fn inset(text: &str) -> Result<(String, [f64; 3]), String> {
+    let problem =
+        || "give an environment, the middle of a square and its side: hall=12.5,-3,4".to_owned();
+    let (name, numbers) = text.split_once('=').ok_or_else(problem)?;
+    let numbers: Result<Vec<f64>, _> = numbers.split(',').map(str::parse).collect();
+    let numbers: [f64; 3] = numbers
+        .ok()
+        .and_then(|n| n.try_into().ok())
+        .ok_or_else(problem)?;
+    let is_square = numbers.iter().all(|v| v.is_finite()) && numbers[2] > 0.0;
+    is_square
+        .then(|| (name.to_owned(), numbers))
+        .ok_or_else(problem)
 }
 
 #[derive(Serialize)]
@@ -60,6 +84,18 @@ struct Drawn<'a> {
 /// Measures, draws, judges, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let (folder, description) = dataset::open(&arguments.dataset)?;
+    for (name, _) in &arguments.inset {
+        anyhow::ensure!(
+            description.environments.iter().any(|e| e.name == *name),
+            "the dataset has no environment {name:?}: it has {}",
+            description
+                .environments
+                .iter()
+                .map(|e| e.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", ")
+        );
+    }
     context.claim(&arguments.out, &[&folder.description()])?;
     let (mut findings, mut measured) = (Vec::new(), Vec::new());
     for planned in &description.queries {
@@ -69,7 +105,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         measured.push(own);
     }
     let mut views = DatasetViews {
-        environments: environments(&folder, &description, context)?,
+        environments: environments(&folder, &description, &arguments.inset, context)?,
         estimates: Vec::new(),
     };
     if let Some(estimates) = &arguments.estimates {
@@ -116,12 +152,15 @@ fn file_name(title: &str) -> String {
 fn environments(
     folder: &DatasetFolder,
     description: &Description,
+    insets: &[(String, [f64; 3])],
     context: &Context,
 ) -> anyhow::Result<Vec<EnvironmentView>> {
     let mut views = Vec::new();
     for environment in &description.environments {
+        let own = insets.iter().filter(|(name, _)| *name == environment.name);
         let mut view = EnvironmentView {
             title: environment.title.clone(),
+            insets: own.map(|(_, [x, y, side])| ([*x, *y], *side)).collect(),
             ..EnvironmentView::default()
         };
         let truth = folder.scan_truth(&environment.name);

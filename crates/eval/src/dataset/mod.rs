@@ -24,7 +24,6 @@ mod sequence;
 mod session;
 mod sums;
 mod tables;
-mod truth_file;
 
 pub use description::{Description, MapEntry, QueryEntry};
 pub use folder::{DatasetFolder, TRUTH};
@@ -38,7 +37,6 @@ pub use sequence::{SequenceFigures, measure};
 pub use session::{LamarSession, lamar_session};
 pub use sums::{Difference, check_sums, write_sums};
 pub use tables::{cameras_table, environments_table, motion_classes_table, motions_table};
-pub use truth_file::euroc_truth;
 
 #[cfg(test)]
 mod tests;

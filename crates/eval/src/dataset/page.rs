@@ -10,7 +10,7 @@ use super::plan::Device;
 use super::sequence::SequenceFigures;
 use super::tables::{cameras_table, environments_table, motion_classes_table, motions_table};
 use crate::Evaluation;
-use crate::report::{Report, Track, errors_section, from_above_section};
+use crate::report::{Inset, Report, Track, errors_section, from_above_section};
 
 /// An environment with all walks in it, as Fig. 1 of the paper shows it.
 #[derive(Clone, Debug, Default)]
@@ -21,6 +21,8 @@ pub struct EnvironmentView {
     pub map_points: Vec<Vector3<f64>>,
     /// Walks, where their truth is there: device, name, poses.
     pub walks: Vec<(Device, String, Vec<StampedPose>)>,
+    /// Squares that are drawn again, larger: middle and side, metres; where none are said, those where most walks pass.
+    pub insets: Vec<([f64; 2], f64)>,
 }
 
 /// An estimate of a sequence against its truth, as Figs. 5 and 7 show it.
@@ -85,8 +87,13 @@ impl DatasetViews {
             .iter()
             .map(|own| (own.sequence.clone(), own.report()));
         let all = of_places.chain(of_estimates);
-        all.filter_map(|(name, report)| Some((name, report.above_svg()?)))
-            .collect()
+        let drawn = all.flat_map(|(name, report)| {
+            let whole = report.above_svg().map(|svg| (name.clone(), svg));
+            let insets = report.inset_svgs().into_iter();
+            let insets = insets.map(move |(inset, svg)| (format!("{name} {inset}"), svg));
+            whole.into_iter().chain(insets)
+        });
+        drawn.collect()
     }
 }
 
@@ -99,9 +106,14 @@ impl EnvironmentView {
             truth: None,
             errors: Vec::new(),
         });
+        let tracks: Vec<Track> = tracks.collect();
         Report {
             map_points: self.map_points.clone(),
-            tracks: tracks.collect(),
+            insets: match self.insets.is_empty() {
+                true => Inset::chosen(&tracks),
+                false => Inset::named(self.insets.iter().copied()),
+            },
+            tracks,
             ..Report::default()
         }
     }
@@ -154,6 +166,7 @@ mod tests {
                 (Device::Glasses, "E1-glasses".to_owned(), walk(2.0)),
                 (Device::Android, "E0-android".to_owned(), walk(3.0)),
             ],
+            insets: vec![([10.0, 2.0], 1.0)],
         };
         let views = DatasetViews {
             environments: vec![view],
@@ -169,10 +182,15 @@ mod tests {
             (1, 1, 0)
         );
         let drawings = views.drawings();
-        let [(name, svg)] = &drawings[..] else {
+        let [(name, svg), (inset, detail)] = &drawings[..] else {
             panic!("{drawings:?}")
         };
-        assert_eq!(name, "Hall <1>");
+        assert_eq!(
+            (name.as_str(), inset.as_str()),
+            ("Hall <1>", "Hall <1> (b)")
+        );
+        // Marked and named in the whole; in the inset, of three walks the one that passes there.
+        assert!(svg.contains("stroke-dasharray") && svg.contains("(b)"));
         assert!(
             svg.starts_with("<svg xmlns=") && !svg.contains("var(--"),
             "{svg}"
@@ -184,5 +202,7 @@ mod tests {
             (1, 0, 2),
             "{svg}"
         );
+        let lines = |ink: &str| detail.matches(&format!("stroke=\"{ink}\"")).count();
+        assert_eq!((lines("#0a66c2"), lines("#2b8a3e")), (0, 1), "{detail}");
     }
 }

@@ -5,6 +5,7 @@ mod conventions;
 mod coverage;
 mod figures;
 mod input;
+mod odd_poses;
 mod remarks;
 
 use lsfb_geometry::align::Alignment;

@@ -3,7 +3,7 @@
 use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::{Evaluation, conventions};
+use super::{Evaluation, conventions, odd_poses};
 use crate::alignment::AlignmentMode;
 use crate::association::PosePair;
 use crate::read::NO_STAMPS;
@@ -41,7 +41,7 @@ const OTHER_UNITS: [(f64, &str); 4] = [
     (0.001, "kilometres"),
 ];
 /// An estimate that is larger or smaller by more, as a share, is of another size.
-const MOST_SCALE: f64 = 0.1;
+const MOST_SCALE: f64 = 0.05;
 /// By how much a scale must lessen its errors to be named.
 const LESS: f64 = 0.5;
 /// Sizes that differ by less, as a share, are alike.
@@ -103,12 +103,26 @@ pub(super) fn of(
         // Of the truth itself, errors are those of rounding.
         if let Some(best_m) = best_m.filter(|best_m| *best_m >= LEAST_ERROR_M) {
             findings.extend(conventions::mirrored(pairs, best_m));
-            let named = (!is_lost).then(|| one_cause(found, pairs, best_m));
-            findings.extend(named.flatten());
+            let has_rotations = found.ate_rotation_deg.is_some();
+            findings.extend(
+                has_rotations
+                    .then(|| conventions::inverse(pairs, best_m))
+                    .flatten(),
+            );
+            let named = (!is_lost)
+                .then(|| one_cause(found, pairs, best_m))
+                .flatten();
+            let is_late = named.as_ref().is_some_and(|f| f.code == "clock");
+            findings.extend(named);
+            let turns = has_rotations && !is_lost && !is_late;
+            findings.extend(turns.then(|| conventions::late_turns(aligned)).flatten());
         }
         if let Some(rotation) = found.ate_rotation_deg.filter(|_| !is_lost) {
             findings.extend(conventions::orientations(pairs, aligned, rotation.rmse));
         }
+        let errors_m: Vec<f64> = found.errors.iter().map(|e| e.translation_m).collect();
+        let held = odd_poses::held(pairs);
+        findings.extend(held.or_else(|| odd_poses::outliers(pairs, &errors_m)));
     }
     findings.extend(few);
     let has_rotations = found.ate_rotation_deg.is_some();
@@ -302,7 +316,7 @@ fn scale(found: &Evaluation) -> Option<Finding> {
         );
         Finding::new("scale", Verdict::Warn, "positions", what)
             .value(larger, "")
-            .remedy("align by sim3 what cannot know its scale; else look for another unit (a foot has 0.3048 m)")
+            .remedy("align by sim3 what cannot know its scale; else look for another unit (a foot has 0.3048 m, a yard 0.9144 m)")
     })
 }
 

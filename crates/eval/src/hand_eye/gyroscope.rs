@@ -67,7 +67,27 @@ pub fn align_gyroscopes(
     config: &HandEyeConfig,
 ) -> Result<GyroAlignment, Error> {
     let base = first.first().map_or(Timestamp::from_nanos(0), |s| s.time);
-    align_gyroscope(&integrated(first, base), second, config)
+    let mut found = align_gyroscope(&integrated(first, base), second, config)?;
+    found.findings.extend(other_unit(first, second));
+    Ok(found)
+}
+
+/// Rates of one body are as large in both.
+fn other_unit(first: &[GyroSample], second: &[GyroSample]) -> Option<Finding> {
+    let scatter = |samples: &[GyroSample]| {
+        let count = samples.len().max(1) as f64;
+        let rates = || samples.iter().map(|s| s.rate_rad_s);
+        let mean = rates().sum::<Vector3<f64>>() / count;
+        (rates().map(|r| (r - mean).norm_squared()).sum::<f64>() / count).sqrt()
+    };
+    let times = scatter(second) / scatter(first);
+    (!(1.0 / MOST_LARGER..MOST_LARGER).contains(&times)).then(|| {
+        let what =
+            format!("the reference's angular rates are {times:.3} times as large as the other's");
+        Finding::new("unit", Verdict::Fail, "rates", what)
+            .value(times, "")
+            .remedy("write both in rad/s (a radian is 57.3°)")
+    })
 }
 
 /// Aligns the rates of a trajectory's body with those of a gyroscope; both in order of time.
@@ -168,7 +188,7 @@ fn findings(formal_secs: f64, sigma_secs: f64, apart_secs: Option<f64>) -> Vec<F
             findings.push(
                 Finding::new("halves", Verdict::Warn, "clocks", what)
                     .value(1e3 * apart_secs, "ms")
-                    .limit(Limit::AtMost(1e3 * limit_secs))
+                    .limit(Limit::AtMost((1e6 * limit_secs).round() / 1e3))
                     .remedy("align parts of the recordings on their own"),
             );
         }
@@ -190,6 +210,9 @@ fn integrated(samples: &[GyroSample], base: Timestamp) -> Vec<StampedPose> {
     };
     samples.iter().zip(turned).map(pose).collect()
 }
+
+/// Rates of two gyroscopes on one body differ by less, as a factor: a part of the time may be the livelier one.
+const MOST_LARGER: f64 = 2.0;
 
 struct AlignedRates {
     rotation: UnitQuaternion<f64>,
@@ -306,6 +329,26 @@ mod tests {
             );
         }
         assert_eq!(beyond, 0);
+    }
+
+    #[test]
+    fn degrees_beside_radians_are_named() {
+        let phone = samples(200.0, 40.0, UnitQuaternion::identity(), |t| t, 0);
+        let mut degrees = samples(100.0, 40.0, UnitQuaternion::identity(), |t| t, 5);
+        for sample in &mut degrees {
+            sample.rate_rad_s = sample.rate_rad_s.map(f64::to_degrees);
+        }
+        for (first, second) in [(&phone, &degrees), (&degrees, &phone)] {
+            match align_gyroscopes(first, second, &HandEyeConfig::default()) {
+                Ok(found) => {
+                    let named = found.findings.iter().find(|f| f.code == "unit");
+                    let verdict = named.map(|f| f.verdict);
+                    assert_eq!(verdict, Some(Verdict::Fail), "{found:?}");
+                }
+                // Angles that a sample turns by more than half a circle are alike at no offset.
+                Err(error) => assert!(matches!(error, Error::NotOneBody { .. }), "{error}"),
+            }
+        }
     }
 
     #[test]

@@ -60,6 +60,11 @@ impl Default for HandEyeConfig {
 const LEAST_POSES: usize = 20;
 /// Standard deviations beyond which the result is not to be used: rotation and translation of the body, the clock.
 const MOST_SIGMA: [f64; 3] = [0.5, 0.02, 2.0];
+/// What may stay between the positions of one walk, as a share of how they scatter, and between its orientations, degrees rms.
+const MOST_LEFT: f64 = 0.1;
+const MOST_LEFT_DEG: f64 = 20.0;
+/// Positions of two bodies on one device extend alike, but for what a turn on the spot makes of a lever.
+const MOST_LARGER: f64 = 1.3;
 /// Share of poses that must fit.
 const LEAST_INLIERS: f64 = 0.7;
 /// Standard deviations by which one of seven numbers of two halves may differ.
@@ -155,6 +160,7 @@ pub fn align_trajectories(
         }
     }
     let base = estimate[0].time;
+    let sizes_m = [scatter_m(estimate), scatter_m(reference)];
     // Around their own middles coordinates of surveyors keep their digits.
     let (estimate_middle, reference_middle) = (middle(estimate), middle(reference));
     let estimate = Continuous::new(&moved(estimate, &-estimate_middle), base);
@@ -201,7 +207,47 @@ pub fn align_trajectories(
         body: refined.body,
     };
     found.findings = judge(&found, &refined, halves);
+    found.findings.extend(other_unit(&found, sizes_m));
+    found.findings.extend(other_rotations(&found));
     Ok(found)
+}
+
+/// How positions scatter about their mean, rms, metres.
+fn scatter_m(poses: &[StampedPose]) -> f64 {
+    let mean = middle(poses);
+    let squares = poses
+        .iter()
+        .map(|p| (p.world_from_rig.translation - mean).norm_squared());
+    (squares.sum::<f64>() / poses.len().max(1) as f64).sqrt()
+}
+
+/// Positions that stay apart and extend differently are in different units.
+fn other_unit(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Option<Finding> {
+    let times = estimate_m / reference_m;
+    let left_m = found.translation_m.rmse;
+    let is_apart = left_m > MOST_LEFT * reference_m.min(estimate_m);
+    (is_apart && !(1.0 / MOST_LARGER..MOST_LARGER).contains(&times)).then(|| {
+        let what = format!(
+            "the estimate's positions extend {times:.3} times as far as the reference's, and {left_m:.3} m rms stay between them"
+        );
+        Finding::new("unit", Verdict::Fail, "positions", what)
+            .value(times, "")
+            .remedy("write both in metres; what cannot know its scale is not aligned")
+    })
+}
+
+/// Orientations that no turn of body and world makes alike.
+fn other_rotations(found: &HandEye) -> Option<Finding> {
+    let left_deg = found.rotation_deg.rmse;
+    (left_deg > MOST_LEFT_DEG).then(|| {
+        let what = format!(
+            "the orientations stay {left_deg:.1}° rms apart, however body and world are turned"
+        );
+        Finding::new("orientations", Verdict::Fail, "orientations", what)
+            .value(left_deg, "°")
+            .limit(Limit::AtMost(MOST_LEFT_DEG))
+            .remedy("check the order of the quaternions' components (x y z w), and that they are of the body in the world and not the inverse; `lsfb eval` names which")
+    })
 }
 
 fn statistics(values: &[f64]) -> Result<Statistics, Error> {

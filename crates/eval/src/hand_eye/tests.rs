@@ -293,3 +293,35 @@ fn a_gyroscope_is_aligned() {
     );
     assert!((Vector3::from(found.bias_rad_s) - bias).norm() < 1e-3);
 }
+
+#[test]
+fn another_unit_and_another_order_of_the_quaternion_are_named() {
+    let setup = Setup::new(1.37);
+    let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.003, 3);
+    let reference = setup.reference(20.0, 60.0, motion);
+    let named = |change: &dyn Fn(&mut Se3)| -> Vec<String> {
+        let mut estimate = estimate.clone();
+        for pose in &mut estimate {
+            change(&mut pose.world_from_rig);
+        }
+        match align_trajectories(&estimate, &reference, &HandEyeConfig::default()) {
+            Ok(found) => {
+                let failed = found.findings.iter().filter(|f| f.verdict == Verdict::Fail);
+                failed.map(|f| f.code.to_string()).collect()
+            }
+            Err(error) => vec![error.to_string()],
+        }
+    };
+    let nothing: Vec<String> = Vec::new();
+    assert_eq!(named(&|_| {}), nothing);
+    for times in [1000.0, 100.0, 1.0 / 0.3048, 0.001] {
+        let said = named(&|pose| pose.translation *= times);
+        assert!(said.contains(&"unit".to_owned()), "{times}: {said:?}");
+    }
+    let said = named(&|pose| {
+        let q = pose.rotation.into_inner();
+        let first = lsfb_geometry::Quaternion::new(q.k, q.w, q.i, q.j);
+        pose.rotation = lsfb_geometry::UnitQuaternion::new_normalize(first);
+    });
+    assert!(said.contains(&"orientations".to_owned()), "{said:?}");
+}

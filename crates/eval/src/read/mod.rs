@@ -4,15 +4,17 @@
 mod colmap;
 mod columns;
 mod decimal;
+mod folder;
 mod layout;
 mod mcap;
 mod order;
 mod row;
 mod stamp_unit;
 mod text;
+mod times;
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Matrix6, StampedPose};
 use lsfb_types::{Finding, Timestamp, Verdict};
@@ -28,10 +30,14 @@ use stamp_unit::StampSize;
 use text::{Line, shown};
 
 pub use columns::Columns;
+pub use row::covariance_in_world;
 pub use stamp_unit::StampUnit;
 
 /// What is understood, in the words of an error.
 const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt and images.bin or MCAP";
+
+/// A quaternion that misses the length one by more was not merely rounded.
+const LENGTH_TOLERANCE: f64 = 0.01;
 
 /// The code of what is said of a file whose rows have no stamps.
 pub(crate) const NO_STAMPS: &str = "no-stamps";
@@ -56,6 +62,8 @@ pub struct ReadOptions {
     pub columns: Option<Columns>,
     /// The device of a kapture file, the topic of a recording; `None` takes the only one there is.
     pub stream: Option<String>,
+    /// The file with the stamps of rows that have none (KITTI's matrices), one per line.
+    pub times: Option<PathBuf>,
 }
 
 /// A file that was read.
@@ -87,12 +95,15 @@ impl TrajectoryFile {
 }
 
 /// Reads a trajectory; the file itself tells its format. Eight columns are TUM's `t x y z qx qy qz qw`; four `t x y z`; twelve or
-/// sixteen a pose matrix (row n gets the stamp n s); eight or more with commas and whole stamps EuRoC's `t,x,y,z,qw,qx,qy,qz,…`; a row
+/// sixteen a pose matrix (row n gets the stamp n s, or that of the file of times); eight or more with commas and whole stamps EuRoC's `t,x,y,z,qw,qx,qy,qz,…`; a row
 /// or comment with names overrules all that. Forty-four are TUM's with a covariance of x, y, z and rotations about the world's axes, row
 /// by row. A table with a column `matches` or `inliers` is a localization: its success rate is counted, and rows whose column `localized` is 0
 /// have no pose. Stamps may be seconds, milliseconds, microseconds or nanoseconds.
 pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryFile, Error> {
+    let folder_file = folder::trajectory_in(path)?;
+    let path = folder_file.as_deref().unwrap_or(path);
     if text::is_mcap(path)? {
+        times::expect_none(path, options.times.as_deref())?;
         return mcap::read(path, options.stream.as_deref());
     }
     let text = text::with_points(text::read(path)?);
@@ -157,17 +168,43 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
             "name the columns in a first row",
         );
     }
+    let long = read
+        .iter()
+        .map(|(line, row)| (line.number, row.quaternion_length))
+        .filter(|(_, length)| (length - 1.0).abs() > LENGTH_TOLERANCE);
+    let worst = long
+        .clone()
+        .max_by(|a, b| (a.1 - 1.0).abs().total_cmp(&(b.1 - 1.0).abs()));
+    if let Some((number, length)) = worst {
+        let what = format!(
+            "{} not of length one (line {number}: {length:.3}), and normalised",
+            crate::count(long.count(), "quaternion is", "quaternions are")
+        );
+        warn(
+            "quaternions",
+            what,
+            "check which columns hold the quaternion",
+        );
+    }
     choose_device(path, &mut read, options.stream.as_deref())?;
     if read.is_empty() {
         return Err(nothing());
     }
-    let times = if layout.content == Content::Matrix {
+    let is_matrix = layout.content == Content::Matrix;
+    let times = if let (true, Some(times)) = (is_matrix, &options.times) {
+        let (times, remark) = times::read(times, path, read.len(), options.stamp_unit)?;
+        if let Some(remark) = remark {
+            warn("stamp-unit", remark, "say the unit of the stamps");
+        }
+        times
+    } else if is_matrix {
         let what = "rows without stamps, taken for one a second".to_owned();
-        let remedy = "figures over time (relative errors per second, smoothness, gaps) mean nothing; those of an estimate and a truth \
-             whose rows are of other frames mean nothing at all";
+        let remedy = "name the file with their stamps; without it figures over time (relative errors per second, smoothness, gaps) mean nothing, \
+             and those of an estimate and a truth whose rows are of other frames mean nothing at all";
         warn(NO_STAMPS, what, remedy);
         (0..read.len()).map(whole_secs).collect()
     } else {
+        times::expect_none(path, options.times.as_deref())?;
         let stamps: Vec<(usize, &str)> = read
             .iter()
             .map(|(line, row)| (line.number, row.stamp.unwrap_or_default()))
@@ -208,36 +245,6 @@ pub fn read_poses(path: &Path) -> Result<Vec<StampedPose>, Error> {
         Orientations::Known => Ok(file.poses),
         Orientations::Missing => Err(Error::NeedsOrientation { purpose: "poses" }),
     }
-}
-
-/// Reads KITTI poses and the file with their stamps, seconds, one per line.
-pub fn read_kitti_poses(path: &Path, times_path: &Path) -> Result<Vec<StampedPose>, Error> {
-    let mut poses = read_poses(path)?;
-    let text = text::read(times_path)?;
-    let (rows, _) = text::lines(&text);
-    let mut times = Vec::with_capacity(poses.len());
-    for line in rows {
-        times.push(decimal_nanos(line.text, 9).ok_or_else(|| Error::BadLine {
-            path: times_path.to_owned(),
-            line: line.number,
-            what: format!("'{}' is no time in seconds", shown(line.text)),
-        })?);
-    }
-    if times.len() != poses.len() {
-        return Err(Error::NotATrajectory {
-            path: times_path.to_owned(),
-            what: format!(
-                "{} stamps for the {} poses of {}",
-                times.len(),
-                poses.len(),
-                path.display()
-            ),
-        });
-    }
-    for (pose, time) in poses.iter_mut().zip(times) {
-        pose.time = time;
-    }
-    Ok(poses)
 }
 
 /// Leaves the rows of one device of a kapture file.

@@ -18,38 +18,57 @@ pub(super) struct Row<'a> {
     pub device: Option<&'a str>,
     /// Without rotation where the file has positions only.
     pub world_from_rig: Se3,
+    /// Length of the quaternion as it is written; one where there is none.
+    pub quaternion_length: f64,
     /// In the tangent of the pose; `None` where the file has none.
     pub covariance: Option<Box<Matrix6<f64>>>,
 }
 
+/// A rotation, and how long its quaternion was.
+type Turn = (UnitQuaternion<f64>, f64);
+
+impl Row<'_> {
+    /// Of a row that says the pose of the world in the body.
+    fn inverted(self) -> Self {
+        Self {
+            world_from_rig: self.world_from_rig.inverse(),
+            ..self
+        }
+    }
+}
+
 /// `None` for a row that is whole and says no pose: kapture leaves out what is not known.
 pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<Row<'a>>, String> {
-    let row = |stamp, world_from_rig| Row {
+    let row = |stamp, (rotation, quaternion_length): Turn, translation| Row {
         stamp,
         device: None,
-        world_from_rig,
+        world_from_rig: Se3::new(rotation, translation),
+        quaternion_length,
         covariance: None,
     };
     Ok(Some(match content {
         Content::Columns(at) if is_without_pose(columns, at) => return Ok(None),
         Content::Columns(at) => {
-            let pose = Se3::new(
+            let place = Vector3::from(numbers(columns, at.position)?);
+            row(
+                Some(column(columns, at.time)?),
                 quaternion(columns, at)?,
-                Vector3::from(numbers(columns, at.position)?),
-            );
-            row(Some(column(columns, at.time)?), pose)
+                place,
+            )
         }
         Content::WithCovariance => {
             let at = Columns::TUM;
-            let pose = Se3::new(
+            let place = Vector3::from(numbers(columns, at.position)?);
+            let row = row(
+                Some(column(columns, at.time)?),
                 quaternion(columns, at)?,
-                Vector3::from(numbers(columns, at.position)?),
+                place,
             );
             let covariance: [f64; 36] = numbers(columns, std::array::from_fn(|i| 8 + i))?;
-            let covariance = covariance_in_tangent(&covariance, &pose)?;
+            let covariance = covariance_in_tangent(&covariance, &row.world_from_rig)?;
             Row {
                 covariance: Some(Box::new(covariance)),
-                ..row(Some(column(columns, at.time)?), pose)
+                ..row
             }
         }
         Content::Matrix => {
@@ -60,23 +79,33 @@ pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<
                     return Err("the last row of the matrix is not 0 0 0 1".to_owned());
                 }
             }
-            row(None, from_matrix_rows(&upper)?)
+            let pose = from_matrix_rows(&upper)?;
+            row(None, (pose.rotation, 1.0), pose.translation)
         }
         Content::Colmap => {
             let [qw, qx, qy, qz, x, y, z] = numbers(columns, std::array::from_fn(|i| 1 + i))?;
-            let camera_from_world = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
-            let name = column(columns, 9)?;
-            row(Some(stamp_in_name(name)?), camera_from_world.inverse())
+            let stamp = stamp_in_name(column(columns, 9)?)?;
+            row(
+                Some(stamp),
+                rotation(qw, qx, qy, qz)?,
+                Vector3::new(x, y, z),
+            )
+            .inverted()
         }
         Content::Kapture => {
             if columns.iter().skip(2).any(|c| c.is_empty()) {
                 return Ok(None);
             }
             let [qw, qx, qy, qz, x, y, z] = numbers(columns, std::array::from_fn(|i| 2 + i))?;
-            let device_from_world = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
+            let stamp = column(columns, 0)?;
             Row {
                 device: Some(column(columns, 1)?),
-                ..row(Some(column(columns, 0)?), device_from_world.inverse())
+                ..row(
+                    Some(stamp),
+                    rotation(qw, qx, qy, qz)?,
+                    Vector3::new(x, y, z),
+                )
+                .inverted()
             }
         }
     }))
@@ -141,6 +170,18 @@ pub(super) fn covariance_in_tangent(
     Ok(turn * given * turn.transpose())
 }
 
+/// The way back of [`covariance_in_tangent`]: a covariance of `[rotation, translation]` in the tangent of a pose as one of x y z and of
+/// rotations about the world's axes, as ROS publishes it.
+pub fn covariance_in_world(covariance: &Matrix6<f64>, world_from_rig: &Se3) -> Matrix6<f64> {
+    let rotation = world_from_rig.rotation_matrix();
+    let mut to_world = Matrix6::zeros();
+    to_world.fixed_view_mut::<3, 3>(0, 3).copy_from(&rotation);
+    to_world.fixed_view_mut::<3, 3>(3, 0).copy_from(&rotation);
+    let in_world = to_world * covariance * to_world.transpose();
+    // Symmetric to the last bit.
+    (in_world + in_world.transpose()) * 0.5
+}
+
 /// The number at the end of a file's name: `cam0/1403636579.763555.png`.
 fn stamp_in_name(name: &str) -> Result<&str, String> {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
@@ -168,20 +209,20 @@ fn numbers<const N: usize>(columns: &[&str], at: [usize; N]) -> Result<[f64; N],
     Ok(values)
 }
 
-fn quaternion(columns: &[&str], at: Columns) -> Result<UnitQuaternion<f64>, String> {
+fn quaternion(columns: &[&str], at: Columns) -> Result<Turn, String> {
     let Some(at) = at.rotation_xyzw else {
-        return Ok(UnitQuaternion::identity());
+        return Ok((UnitQuaternion::identity(), 1.0));
     };
     let [x, y, z, w] = numbers(columns, at)?;
     rotation(w, x, y, z)
 }
 
-fn rotation(w: f64, x: f64, y: f64, z: f64) -> Result<UnitQuaternion<f64>, String> {
+fn rotation(w: f64, x: f64, y: f64, z: f64) -> Result<Turn, String> {
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
     // Files print as few as four digits, and some programs none too exactly: normalise, but refuse what is no rotation.
     if (0.5..2.0).contains(&norm) {
-        Ok(UnitQuaternion::new_normalize(quaternion))
+        Ok((UnitQuaternion::new_normalize(quaternion), norm))
     } else {
         Err(format!("quaternion of length {norm}; expected 1"))
     }

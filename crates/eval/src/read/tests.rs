@@ -64,13 +64,30 @@ fn reads_gzip_and_kitti_times() {
     let bytes = encoder.finish().expect("memory");
     let (_a, poses) = file(&bytes);
     let (_b, times) = file(b"1.037359e-01\n");
-    let read = read_kitti_poses(&poses, &times).expect("valid");
-    assert_eq!(read[0].time.nanos(), 103_735_900);
+    let with = |times: &Path| {
+        let options = ReadOptions {
+            times: Some(times.to_owned()),
+            ..ReadOptions::default()
+        };
+        read_trajectory(&poses, &options)
+    };
+    let read = with(&times).expect("valid");
+    assert_eq!(read.poses[0].time.nanos(), 103_735_900);
+    assert!(read.findings.is_empty(), "{:?}", read.findings);
     let (_c, two) = file(b"0\n1\n");
-    let error = read_kitti_poses(&poses, &two)
-        .expect_err("two stamps")
-        .to_string();
+    let error = with(&two).expect_err("two stamps").to_string();
     assert!(error.contains("2 stamps for the 1 poses"), "{error}");
+    let (_e, word) = file(b"soon\n");
+    let error = with(&word).expect_err("a word").to_string();
+    assert!(error.contains("'soon' is no stamp"), "{error}");
+    // Poses that have stamps need no others.
+    let (_f, stamped) = file(b"1 0 0 0 0 0 0 1\n");
+    let options = ReadOptions {
+        times: Some(times.clone()),
+        ..ReadOptions::default()
+    };
+    let error = read_trajectory(&stamped, &options).expect_err("two stamps for one pose");
+    assert!(error.to_string().contains("stamps of its own"), "{error}");
     let (_d, cut) = file(&bytes[..bytes.len() - 9]);
     assert!(matches!(read_poses(&cut), Err(Error::Io { .. })));
 }

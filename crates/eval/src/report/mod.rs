@@ -17,6 +17,7 @@ mod equal_scale;
 mod errors_over_time;
 mod figure;
 mod histogram;
+mod inset;
 mod page;
 mod scene;
 mod sections;
@@ -24,6 +25,7 @@ mod top_view;
 
 pub(crate) use equal_scale::equal_scale;
 pub use figure::Figure;
+pub use inset::Inset;
 
 /// All that the page shows.
 #[derive(Clone, Debug, Default)]
@@ -36,6 +38,8 @@ pub struct Report {
     pub map_points: Vec<Vector3<f64>>,
     /// Trajectories in the world of the map.
     pub tracks: Vec<Track>,
+    /// Parts of the view from above that are drawn again, larger.
+    pub insets: Vec<Inset>,
     /// From where map and trajectories are seen.
     pub view: View,
     /// Several estimates in one table, best first.
@@ -142,6 +146,14 @@ impl Report {
     /// Map and trajectories from above as an SVG file of its own; `None` where there is neither.
     pub fn above_svg(&self) -> Option<String> {
         top_view::draw(self)?.plot.to_svg().ok()
+    }
+
+    /// The insets as SVG files of their own, with their names.
+    pub fn inset_svgs(&self) -> Vec<(String, String)> {
+        let insets = top_view::draw_insets(self).into_iter();
+        insets
+            .filter_map(|(name, plot)| Some((name, plot.to_svg().ok()?)))
+            .collect()
     }
 
     /// The page as text.

@@ -32,6 +32,13 @@ pub(super) fn from_above(report: &Report) -> Markup {
                     span.key { "a dot marks the start" }
                 }
             }
+            @if !report.insets.is_empty() {
+                div.pair {
+                    @for (name, plot) in top_view::draw_insets(report) {
+                        figure { (plot.draw()) figcaption { span.key { (name) } } }
+                    }
+                }
+            }
         }
     }
 }

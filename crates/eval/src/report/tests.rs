@@ -138,6 +138,7 @@ fn made_up() -> Report {
             track("scanner", &scanner, &scanner_truth),
             track("glasses", &glasses, &glasses_truth),
         ],
+        insets: Vec::new(),
         view: View::Above,
         comparison: compare(&[
             crate::Contender {

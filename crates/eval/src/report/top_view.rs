@@ -7,7 +7,7 @@ use lsfb_report::{Ink, Layer, Plot, SHADES};
 use maud::Markup;
 
 use super::equal_scale::equal_scale;
-use super::{Report, View, break_secs};
+use super::{Inset, Report, View, break_secs};
 
 /// More dots cannot be told apart, and make the page heavy.
 const MAX_DOTS: usize = 5_000;
@@ -83,6 +83,66 @@ pub(super) fn draw(report: &Report) -> Option<TopView> {
     let bounds = Bounds::of(report, plane)?;
     let dots = thinned(&report.map_points, plane, bounds);
     let heights_m = height_range(&dots);
+    let mut plot = drawn(report, plane, bounds, &dots, heights_m);
+    if plane == ABOVE {
+        plot.layers.extend(report.insets.iter().flat_map(outline));
+    }
+    Some(TopView {
+        drawing: plot.draw(),
+        heights_m,
+        plane: (plane != ABOVE)
+            .then(|| format!("{} and {}", axis_name(plane.right), axis_name(plane.up))),
+        plot,
+    })
+}
+
+/// The insets with their names, in the shades of the whole.
+pub(super) fn draw_insets(report: &Report) -> Vec<(String, Plot)> {
+    let plane = Plane::of(report);
+    let Some(bounds) = Bounds::of(report, plane).filter(|_| plane == ABOVE) else {
+        return Vec::new();
+    };
+    let heights_m = height_range(&thinned(&report.map_points, plane, bounds));
+    let insets = report.insets.iter().map(|inset| {
+        let [x, y] = inset.ranges();
+        let bounds = Bounds { x, y };
+        let dots = thinned(&report.map_points, plane, bounds);
+        let plot = drawn(report, plane, bounds, &dots, heights_m);
+        (inset.name.clone(), plot)
+    });
+    insets.collect()
+}
+
+/// Around a square, dashed, with its name at the corner.
+fn outline(inset: &Inset) -> [Layer; 2] {
+    let [[left, right], [low, high]] = inset.ranges();
+    let corners = [
+        [left, low],
+        [right, low],
+        [right, high],
+        [left, high],
+        [left, low],
+    ];
+    [
+        Layer::Line {
+            points: corners.to_vec(),
+            ink: Ink::Truth,
+            width_px: 1.2,
+        },
+        Layer::Names {
+            names: vec![([right, high], inset.name.clone())],
+        },
+    ]
+}
+
+/// Map points and trajectories within bounds.
+fn drawn(
+    report: &Report,
+    plane: Plane,
+    bounds: Bounds,
+    dots: &[Vector3<f64>],
+    heights_m: Option<[f64; 2]>,
+) -> Plot {
     let mut layers: Vec<Layer> = (0..SHADES)
         .map(|own| {
             let of_shade = dots.iter().filter(|dot| shade(dot.z, heights_m) == own);
@@ -95,36 +155,39 @@ pub(super) fn draw(report: &Report) -> Option<TopView> {
         .collect();
     for (i, track) in report.tracks.iter().enumerate() {
         let ink = Ink::Series(track.series.unwrap_or(i));
-        layers.extend(path(plane, &track.estimate, ink, 2.2));
+        layers.extend(path(plane, bounds, &track.estimate, ink, 2.2));
     }
     for (i, track) in report.tracks.iter().enumerate() {
         let truth = track.truth.iter();
-        layers.extend(truth.flat_map(|truth| path(plane, truth, Ink::Truth, 1.0)));
+        layers.extend(truth.flat_map(|truth| path(plane, bounds, truth, Ink::Truth, 1.0)));
         let start = plane.path(track.estimate.poses()).next();
+        let start = start.filter(|at| bounds.contains(*at));
         layers.push(Layer::Dots {
             points: start.map(<[f64; 2]>::from).into_iter().collect(),
             ink: Ink::Series(track.series.unwrap_or(i)),
             radius_px: 5.0,
         });
     }
-    let plot = Plot {
+    Plot {
         layers,
         ..frame(plane, bounds)
-    };
-    Some(TopView {
-        drawing: plot.draw(),
-        heights_m,
-        plane: (plane != ABOVE)
-            .then(|| format!("{} and {}", axis_name(plane.right), axis_name(plane.up))),
-        plot,
-    })
+    }
 }
 
-/// A trajectory in the plane, apart where nothing is known for a while.
-fn path(plane: Plane, trajectory: &Trajectory, ink: Ink, width_px: f64) -> Vec<Layer> {
+/// A trajectory in the plane, apart where nothing is known for a while, and where it leaves the bounds.
+fn path(
+    plane: Plane,
+    bounds: Bounds,
+    trajectory: &Trajectory,
+    ink: Ink,
+    width_px: f64,
+) -> Vec<Layer> {
     let poses = trajectory.poses();
     let longest_secs = break_secs(poses);
-    let pieces = poses.chunk_by(|a, b| b.time.secs_since(a.time) <= longest_secs);
+    let is_inside = |p: &StampedPose| bounds.contains(plane.point(&p.world_from_rig.translation));
+    let pieces = poses
+        .chunk_by(|a, b| b.time.secs_since(a.time) <= longest_secs && is_inside(a) == is_inside(b));
+    let pieces = pieces.filter(|piece| piece.first().is_some_and(is_inside));
     let line = |piece| Layer::Line {
         points: plane.path(piece).map(<[f64; 2]>::from).collect(),
         ink,

@@ -39,7 +39,14 @@ impl MarkedTable {
 
     /// For a terminal: grey figures in brackets, the best with a star.
     pub fn to_text(&self) -> String {
-        const WIDTH: usize = 14;
+        const LEAST_WIDTH: usize = 14;
+        // The name of a system stands once over its columns, which are as wide as that takes.
+        let columns_of = |system: usize| self.columns.iter().filter(|(s, _)| *s == system).count();
+        let widths = self.systems.iter().enumerate().map(|(system, of)| {
+            let name = of.name.chars().count() + 2;
+            LEAST_WIDTH.max(name.div_ceil(columns_of(system).max(1)))
+        });
+        let width = widths.fold(LEAST_WIDTH, usize::max);
         let names = self
             .rows
             .iter()
@@ -49,13 +56,16 @@ impl MarkedTable {
             "{} (ATE in m, scale error in %; (…) unreliable, * best)\n{:<first$}",
             self.title, ""
         );
-        for (system, _) in &self.columns {
-            let name: String = self.systems[*system].name.chars().take(WIDTH - 1).collect();
-            out += &format!("{name:>WIDTH$}");
+        for own in self.columns.chunk_by(|a, b| a.0 == b.0) {
+            let all = width * own.len();
+            let name = own
+                .first()
+                .and_then(|(system, _)| self.systems.get(*system));
+            out += &format!("{:>all$}", name.map_or("", |of| of.name.as_str()));
         }
         out += &format!("\n{:<first$}", "");
         for (_, metric) in &self.columns {
-            out += &format!("{:>WIDTH$}", metric.label());
+            out += &format!("{:>width$}", metric.label());
         }
         out.push('\n');
         for (sequence, figures) in &self.rows {
@@ -67,7 +77,7 @@ impl MarkedTable {
                     (false, true) => format!("{digits}*"),
                     (false, false) => format!("{digits} "),
                 };
-                out += &format!("{marked:>WIDTH$}");
+                out += &format!("{marked:>width$}");
             }
             out.push('\n');
         }
@@ -78,7 +88,7 @@ impl MarkedTable {
                 let text = cell.map_or(String::new(), |(n, most)| {
                     format!("{n}{}", if most { "*" } else { " " })
                 });
-                out += &format!("{text:>WIDTH$}");
+                out += &format!("{text:>width$}");
             }
             out.push('\n');
         }

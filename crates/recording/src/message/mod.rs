@@ -37,7 +37,10 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{CloudMessage, decode_cloud, encode_points};
-pub use pose::{PoseReading, decode_poses, encode_pose, holds_edges, holds_path, holds_poses};
+pub use pose::{
+    PoseReading, decode_poses, encode_pose, encode_pose_with_covariance, holds_edges, holds_path,
+    holds_poses,
+};
 pub use radio::{
     BleAdvert, WifiReading, WifiScan, decode_ble, decode_wifi, decode_wifi_scan, encode_ble,
     encode_wifi, encode_wifi_scan,
@@ -50,8 +53,8 @@ pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
     BLE_ADVERT, CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FLUID_PRESSURE, FRAME_META, HEALTH_VALUE,
     IMAGE, IMU, LIDAR_PACKETS, MAGNETIC_FIELD, NAV_SAT_FIX, ORIENTATION, PANDAR_SCAN, POINT_CLOUD,
-    POSE, RAW_PACKET, REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VECTOR, VELODYNE_SCAN,
-    WIFI_READING, WIFI_SCAN,
+    POSE, POSE_WITH_COVARIANCE, RAW_PACKET, REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VECTOR,
+    VELODYNE_SCAN, WIFI_READING, WIFI_SCAN,
 };
 pub use surroundings::{
     GnssFix, GnssReading, MagneticSample, PressureSample, decode_gnss, decode_magnetic,

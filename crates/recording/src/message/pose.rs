@@ -32,6 +32,22 @@ pub fn encode_pose(time: Timestamp, frame: &str, frame_from_device: &Se3) -> Vec
     w.finish()
 }
 
+/// `geometry_msgs/msg/PoseWithCovarianceStamped`: the same, with the covariance of x y z and of rotations about the axes of `frame`, row by
+/// row, m² and rad².
+pub fn encode_pose_with_covariance(
+    time: Timestamp,
+    frame: &str,
+    frame_from_device: &Se3,
+    covariance: &[f64; 36],
+) -> Vec<u8> {
+    let mut w = CdrWriter::with_capacity(384 + frame.len());
+    w.header(time, frame);
+    w.f64s(frame_from_device.translation.as_slice());
+    w.f64s(frame_from_device.rotation.coords.as_slice());
+    w.f64s(covariance);
+    w.finish()
+}
+
 /// A message type that says poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {

@@ -290,20 +290,39 @@ pub const ORIENTATION: Schema = Schema {
     ),
 };
 
+/// What a pose is made of.
+macro_rules! pose {
+    () => {
+        concat!(
+            dependency!(
+                "geometry_msgs/Pose",
+                "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+            ),
+            dependency!("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
+            dependency!(
+                "geometry_msgs/Quaternion",
+                "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+            ),
+            header!()
+        )
+    };
+}
+
 /// Where a device has itself.
 pub const POSE: Schema = Schema {
     name: "geometry_msgs/msg/PoseStamped",
+    text: concat!("std_msgs/Header header\ngeometry_msgs/Pose pose\n", pose!()),
+};
+
+/// The same, and how sure that is.
+pub const POSE_WITH_COVARIANCE: Schema = Schema {
+    name: "geometry_msgs/msg/PoseWithCovarianceStamped",
     text: concat!(
-        "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
+        "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
         dependency!(
-            "geometry_msgs/Pose",
-            "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+            "geometry_msgs/PoseWithCovariance",
+            "geometry_msgs/Pose pose\nfloat64[36] covariance\n"
         ),
-        dependency!("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
-        dependency!(
-            "geometry_msgs/Quaternion",
-            "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
-        ),
-        header!()
+        pose!()
     ),
 };

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_eval::dataset::{euroc_truth, indoor_location, lamar_session};
-use lsfb_eval::read_poses;
+use lsfb_eval::dataset::{indoor_location, lamar_session};
 use lsfb_eval::slam_bench::{HiddenRegions, Layout, camera_name, export_without};
+use lsfb_eval::{euroc_text, read_poses};
 use lsfb_geometry::{Rig, Trajectory};
 use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 use lsfb_recording::{Recording, message};
@@ -169,7 +169,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             _ => None,
         };
         if let Some(name) = euroc {
-            put(&out.join(name), euroc_truth(truth.poses()).as_bytes())?;
+            put(&out.join(name), euroc_text(truth.poses()).as_bytes())?;
         }
         lsfb_recording::write_tum(&out.join("truth.tum"), &truth)?;
     }

@@ -9,7 +9,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use crate::alignment::{AlignmentMode, align};
 use crate::association::PosePair;
 
-pub(super) use explained::{axes, lever, running_clock};
+pub(super) use explained::{axes, late_turns, lever, running_clock};
 
 /// Rotations that are as near to the truth as this need no explanation, degrees rms.
 const NEAR_DEG: f64 = 10.0;
@@ -151,6 +151,27 @@ pub(super) fn mirrored(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     })
 }
 
+/// Whether the estimate's poses are of the world in the body.
+pub(super) fn inverse(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
+    let turned: Vec<PosePair> = pairs
+        .iter()
+        .map(|pair| {
+            let mut pair = *pair;
+            pair.estimate.world_from_rig = pair.estimate.world_from_rig.inverse();
+            pair
+        })
+        .collect();
+    let inverse_m = error_m(&turned, AlignmentMode::Sim3)?;
+    (inverse_m < LESS * best_m).then(|| {
+        let what = format!(
+            "the estimate's poses are those of the world in the body: its error is {best_m:.3} m rms, and {inverse_m:.3} m with each of them inverted"
+        );
+        Finding::new("inverse", Verdict::Fail, "poses", what)
+            .value(inverse_m, "m")
+            .remedy("invert every pose (world_from_body), and evaluate again")
+    })
+}
+
 /// Whether the estimate's stamps are late or early by a constant time.
 pub(super) fn clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let step = pairs.len().div_ceil(MOST_PAIRS).max(1);
@@ -188,6 +209,9 @@ pub(super) fn clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
         shifted = at_stamps(offset_secs);
     }
     let left_m = error_m(&shifted, AlignmentMode::Sim3)?;
+    // Of the same pairs: those between may hold a few that are far off.
+    let sampled: Vec<PosePair> = some.iter().map(|(pair, _)| *pair).collect();
+    let best_m = best_m.min(error_m(&sampled, AlignmentMode::Sim3)?);
     (left_m < LESS * best_m && offset_secs.abs() > LEAST_OFFSET_SECS).then(|| {
         let side = if offset_secs > 0.0 { "late" } else { "early" };
         let what = format!(

@@ -6,8 +6,7 @@ use super::RunResult;
 use crate::alignment::AlignmentMode;
 use crate::slam_bench::plan::Plan;
 use crate::{
-    Error, EvalConfig, Evaluation, ReadOptions, TrajectoryFile, evaluate_files, read_kitti_poses,
-    read_trajectory,
+    Error, EvalConfig, Evaluation, ReadOptions, TrajectoryFile, evaluate_files, read_trajectory,
 };
 
 /// The trajectory of a run that lies in `folder`.
@@ -16,10 +15,11 @@ pub(in crate::slam_bench) fn read_estimate(
     run: &RunResult,
 ) -> Result<TrajectoryFile, Error> {
     let path = folder.join(&run.trajectory);
-    match &run.times {
-        Some(times) => read_kitti_poses(&path, &folder.join(times)).map(TrajectoryFile::of_poses),
-        None => read_trajectory(&path, &ReadOptions::default()),
-    }
+    let options = ReadOptions {
+        times: run.times.as_ref().map(|times| folder.join(times)),
+        ..ReadOptions::default()
+    };
+    read_trajectory(&path, &options)
 }
 
 /// As the table has it.

@@ -51,6 +51,15 @@ fn a_pose_is_written_as_ros_has_it() {
 }
 
 #[test]
+fn a_pose_with_its_covariance_is_written_as_ros_has_it() {
+    let schema = "geometry_msgs/msg/PoseWithCovarianceStamped";
+    let poses = decode_poses(schema, &unhex(POSE_WITH_COVARIANCE)).unwrap();
+    let covariance = std::array::from_fn(|i| i as f64);
+    let bytes = encode_pose_with_covariance(STAMP, "map", &poses[0].pose, &covariance);
+    assert_eq!(bytes, unhex(POSE_WITH_COVARIANCE));
+}
+
+#[test]
 fn every_type_says_the_same_pose() {
     let counted: [f64; 36] = std::array::from_fn(|i| i as f64);
     for (schema, text, frame, child_frame, covariance) in [

@@ -5,7 +5,7 @@ use lsfb_geometry::{Matrix3, StampedPose, Vector3, so3};
 use lsfb_types::{Finding, Verdict};
 use nalgebra::{Matrix4, Matrix4x3, SMatrix, SVector, Vector4};
 
-use super::{LESS, MOST_PAIRS, speed};
+use super::{LEAST_OFFSET_SECS, LESS, MOST_PAIRS, error_m, speed};
 use crate::alignment::{AlignmentMode, align};
 use crate::association::PosePair;
 
@@ -15,6 +15,8 @@ const LONGEST_LEVER_M: f64 = 5.0;
 const KNOTS: usize = 8;
 /// By how much changing offsets must lessen the errors of rotation, too: along a straight way they look like a path that is too long.
 const LESS_TURNED: f64 = 0.7;
+/// Smaller errors of orientation are not looked at, radians rms.
+const LEAST_LATE_RAD: f64 = 0.01;
 /// Axes that differ by less in their units are none of another unit.
 const LEAST_AXIS: f64 = 0.02;
 /// Cosine between axes that are units' and not a shear's.
@@ -122,9 +124,18 @@ fn beside_similarity<const N: usize>(
     least_squares(&rows)
 }
 
+/// Error of the sampled pairs in their best place and size, where that is less than the given one of all pairs: those between them may
+/// hold a few that are far off.
+fn error_of(some: &[Sampled], best_m: f64) -> f64 {
+    let pairs: Vec<PosePair> = some.iter().map(|s| s.pair).collect();
+    let own_m = error_m(&pairs, AlignmentMode::Sim3);
+    own_m.map_or(best_m, |own_m| own_m.min(best_m))
+}
+
 /// Whether the estimate is of another point of the body that the truth is of.
 pub fn lever(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let some = sampled(pairs);
+    let best_m = error_of(&some, best_m);
     let (found, left_m) = beside_similarity::<{ SIMILARITY + 3 }>(&some, |s, axis| {
         -(s.pair.truth.world_from_rig.rotation * Vector3::ith(axis, 1.0))
     })?;
@@ -143,6 +154,7 @@ pub fn lever(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
 /// Whether the clocks run apart, or one of them jumps: offsets that run evenly between a few times explain positions and orientations.
 pub fn running_clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let some = sampled(pairs);
+    let best_m = error_of(&some, best_m);
     let weight = |s: &Sampled, knot: usize| {
         let at = s.time * (KNOTS - 1) as f64;
         (1.0 - (at - knot as f64).abs()).max(0.0)
@@ -197,6 +209,45 @@ pub fn running_clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     );
     let finding = Finding::new("clock", Verdict::Warn, "stamps", what).value(most - least, "s");
     Some(finding.remedy("stamp both by one clock, or align them in parts by `lsfb align`"))
+}
+
+/// Whether the orientations alone are late or early: positions and orientations of a row are then of different times.
+pub fn late_turns(aligned: &[PosePair]) -> Option<Finding> {
+    let rows: Vec<(SMatrix<f64, 3, 7>, Vector3<f64>)> = sampled(aligned)
+        .iter()
+        .map(|s| {
+            let [truth, estimate] =
+                [s.pair.truth, s.pair.estimate].map(|p| p.world_from_rig.rotation);
+            let in_world = truth.inverse().to_rotation_matrix();
+            let columns = SMatrix::<f64, 3, 7>::from_fn(|row, column| match column {
+                0..3 => f64::from(u8::from(row == column)),
+                3..6 => in_world.matrix()[(row, column - 3)],
+                _ => -s.turning_rad_s[row],
+            });
+            (columns, so3::local(&truth, &estimate))
+        })
+        .collect();
+    let turned: Vec<(SMatrix<f64, 3, 6>, Vector3<f64>)> = rows
+        .iter()
+        .map(|(columns, off)| (columns.fixed_columns::<6>(0).into_owned(), *off))
+        .collect();
+    let ((found, left_rad), (_, before_rad)) = (least_squares(&rows)?, least_squares(&turned)?);
+    let late_secs = found[6];
+    (left_rad < LESS * before_rad
+        && before_rad > LEAST_LATE_RAD
+        && late_secs.abs() > LEAST_OFFSET_SECS)
+        .then(|| {
+            let side = if late_secs > 0.0 { "late" } else { "early" };
+            let what = format!(
+                "the estimate's orientations seem {:.3} s {side}, and its positions do not: without that {:.2}° rms of them would be left, and not {:.2}°",
+                late_secs.abs(),
+                left_rad.to_degrees(),
+                before_rad.to_degrees()
+            );
+            Finding::new("late-orientations", Verdict::Warn, "orientations", what)
+                .value(late_secs, "s")
+                .remedy("write position and orientation of one time into a row")
+        })
 }
 
 /// Whether the axes of the estimate are in units of their own, or one of them says nothing.
@@ -258,9 +309,18 @@ pub fn axes(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let lengths = of_axis.map(|axis| axis.norm());
     let most = lengths.into_iter().fold(0.0, f64::max);
     let least = lengths.into_iter().fold(f64::INFINITY, f64::min);
+    let extent = [0, 1, 2].map(|axis| {
+        let squares = pairs
+            .iter()
+            .map(|p| (estimate(p) - mean_estimate)[axis].powi(2));
+        (squares.sum::<f64>() / count).sqrt()
+    });
+    // Along an axis on which hardly anything moves, a lean of it moves nothing, and is not known.
     let is_shear = (0..3).any(|k| {
         let next = (k + 1) % 3;
-        !(of_axis[k].dot(&of_axis[next]).abs() < SHEAR * lengths[k] * lengths[next])
+        let lean = (of_axis[k].dot(&of_axis[next]) / (lengths[k] * lengths[next])).abs();
+        let moved_m = [k, next].map(|axis| lean * lengths[axis] * extent[axis]);
+        !(lean < SHEAR || moved_m[0].min(moved_m[1]) < LESS * best_m)
     });
     (left_m < LESS * best_m && !is_shear && most > (1.0 + LEAST_AXIS) * least).then(|| {
         let [x, y, z] = lengths.map(|length| 1.0 / length);

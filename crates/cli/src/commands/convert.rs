@@ -1,0 +1,117 @@
+//! `lsfb convert`: a trajectory in the files of another program.
+
+use std::path::PathBuf;
+
+use lsfb_eval::{
+    Columns, ReadOptions, StampUnit, TrajectoryFormat, Written, read_trajectory, write_trajectory,
+};
+use lsfb_types::{Finding, Judgement, Verdict};
+
+use crate::context::Context;
+use crate::judged::{Judged, problem_lines};
+use crate::outcome::Outcome;
+
+/// Write a trajectory of any program in the format of another: TUM, EuRoC, KITTI, csv, kapture, MCAP.
+///
+/// Reads what `lsfb eval` reads, and says what had to be sorted, guessed or left out. Numbers and stamps stay as they are, to the last digit and
+/// nanosecond; nothing is interpolated. Poses are those of the body in the world; kapture's inverse is written and read as such. KITTI's rows
+/// have no stamps: they go to NAME_times.txt beside them, and come from the file that --times names. EuRoC's velocities and biases are not
+/// written. kapture is a folder, MCAP a ROS 2 bag with PoseStamped (PoseWithCovarianceStamped where every pose has a covariance).
+///
+/// Examples:
+///   lsfb convert walk.tum --to kitti --out poses.txt            # and poses_times.txt
+///   lsfb convert poses.txt --times poses_times.txt --to mcap --out walk.mcap
+///   lsfb convert robot.mcap --stream /odometry --to tum --out robot.tum
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The trajectory: a file, or a folder of kapture, COLMAP or EuRoC.
+    #[arg(value_name = "TRAJECTORY")]
+    trajectory: PathBuf,
+    /// The format to write.
+    #[arg(long, value_name = "FORMAT", value_enum)]
+    to: Format,
+    /// The file; for kapture the folder.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Stamps of a trajectory in KITTI's format, one per line.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Unit of the stamps, where the file does not tell: s, ms, us or ns.
+    #[arg(long, value_name = "UNIT")]
+    stamps: Option<StampUnit>,
+    /// Columns of the file, where it does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
+    #[arg(long, value_name = "NAMES")]
+    columns: Option<Columns>,
+    /// The topic of a recording (of transforms with the frames: /tf:odom.rig) or the device of a kapture file.
+    #[arg(long, value_name = "NAME")]
+    stream: Option<String>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Format {
+    Tum,
+    Euroc,
+    Kitti,
+    Csv,
+    Kapture,
+    Mcap,
+}
+
+/// Reads, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let format = match arguments.to {
+        Format::Tum => TrajectoryFormat::Tum,
+        Format::Euroc => TrajectoryFormat::Euroc,
+        Format::Kitti => TrajectoryFormat::Kitti,
+        Format::Csv => TrajectoryFormat::Csv,
+        Format::Kapture => TrajectoryFormat::Kapture,
+        Format::Mcap => TrajectoryFormat::Mcap,
+    };
+    let options = ReadOptions {
+        stamp_unit: arguments.stamps,
+        columns: arguments.columns,
+        stream: arguments.stream.clone(),
+        times: arguments.times.clone(),
+    };
+    let trajectory = read_trajectory(&arguments.trajectory, &options)?;
+    let times = arguments.times.iter().map(PathBuf::as_path);
+    let read: Vec<_> = times.chain([arguments.trajectory.as_path()]).collect();
+    for file in format.files(&arguments.out) {
+        context.claim(&file, &read)?;
+    }
+    let written = super::about(
+        &arguments.trajectory,
+        write_trajectory(&trajectory, format, &arguments.out),
+    )?;
+    let what = format!("{} poses with their stamps", written.poses);
+    let findings = [Finding::new("written", Verdict::Pass, "poses", what)].into_iter();
+    let findings = findings
+        .chain(trajectory.findings)
+        .chain(left_out(&written));
+    let judgement = Judgement::new(findings.collect());
+    let files: Vec<String> = written
+        .files
+        .iter()
+        .map(|f| f.display().to_string())
+        .collect();
+    let files = files.join(" and ");
+    let what = format!("{} poses to {files}", written.poses);
+    context.print(&Judged::new(&judgement, &what, &written), || {
+        format!("{what}\n{}", problem_lines(&judgement))
+            .trim_end()
+            .to_owned()
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+/// What the format has no place for.
+fn left_out(written: &Written) -> Option<Finding> {
+    let count = written.covariances_left_out;
+    (count > 0).then(|| {
+        let what = format!("the format has no place for covariances: {count} were left out");
+        Finding::new("covariance", Verdict::Warn, "covariance", what)
+            .value(count as f64, "")
+            .remedy("write mcap, or keep the file they were in")
+    })
+}
