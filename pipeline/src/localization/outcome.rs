@@ -83,6 +83,15 @@ pub enum NotLocalizedReason {
         /// How probable it must be.
         needed: f64,
     },
+    /// Other poses of the walk contradict it: nobody moves that fast.
+    Sequence {
+        /// The pose, with what speaks for it: to be shown, not to be used.
+        best: Box<Localization>,
+        /// Poses of the seconds around it on the longest way through it.
+        agreeing: usize,
+        /// Those on the longest way through one that contradicts it.
+        contradicting: usize,
+    },
 }
 
 /// A query that could not be localized.
@@ -141,6 +150,15 @@ impl fmt::Display for NotLocalized {
                 best.matches.len(),
                 best.probability
             ),
+            NotLocalizedReason::Sequence {
+                agreeing,
+                contradicting,
+                ..
+            } => write!(
+                f,
+                "the poses of the seconds around it contradict it: of them {contradicting} can be walked through without it, {agreeing} with it; \
+                 the place may look like another"
+            ),
         }
     }
 }
@@ -152,7 +170,8 @@ impl NotLocalized {
     pub fn best(&self) -> Option<&Localization> {
         match &self.reason {
             NotLocalizedReason::Improbable { best, .. }
-            | NotLocalizedReason::FocalLength { best } => Some(best),
+            | NotLocalizedReason::FocalLength { best }
+            | NotLocalizedReason::Sequence { best, .. } => Some(best),
             _ => None,
         }
     }

@@ -6,6 +6,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
+use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
@@ -137,7 +138,8 @@ pub struct WalkLocalization {
     pub damaged: u64,
 }
 
-/// Localizes the images of each instant of a walk on their own. Refuses a detector of another feature than the map's.
+/// Localizes the images of each instant of a walk on their own, and refuses poses that those of the seconds around them contradict, in a
+/// map in metres. Refuses a detector of another feature than the map's.
 pub fn localize_recording(
     localizer: &Localizer,
     recording: &Recording,
@@ -148,6 +150,8 @@ pub fn localize_recording(
     localizer.map().expect_feature(&detector.feature())?;
     let read = read_frames(recording, &rig, detector, progress)?;
     let found = localize_frames(localizer, &read.frames, &rig, progress)?;
+    let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
+    let found = refuse_contradicted(&times, found);
     let instants = read.frames.iter().zip(found);
     Ok(WalkLocalization {
         instants: instants

@@ -52,7 +52,8 @@ pub struct Evidence {
     pub image_spread: f64,
     /// Factor of the focal lengths that fits the matches best.
     pub focal_scale: f64,
-    /// Standard deviation of its logarithm; infinite where the matches do not tell.
+    /// Standard deviation of its logarithm, of the matches and of the map, whose own images may fit other ones than theirs; infinite where
+    /// the matches do not tell.
     pub focal_log_sigma: f64,
     /// By how many decades fewer poses are expected by chance with that factor than with the focal lengths as they are given.
     pub focal_decades: f64,
