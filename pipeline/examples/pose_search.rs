@@ -11,7 +11,9 @@
 use std::error::Error;
 
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3};
-use lsfb_pipeline::localization::{MountedCamera, PointMatch, RansacConfig, estimate_pose};
+use lsfb_pipeline::localization::{
+    MountedCamera, PointMatch, RansacConfig, RefinementConfig, estimate_pose,
+};
 use nix::time::{ClockId, clock_gettime};
 
 /// As the peer is told.
@@ -40,6 +42,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         min_samples: MIN_SAMPLES,
         max_samples: MAX_SAMPLES,
         confidence: CONFIDENCE,
+        // The peer's errors count in squares up to the limit.
+        refinement: RefinementConfig {
+            huber_px: MAX_ERROR_PX,
+            ..RefinementConfig::default()
+        },
         ..RansacConfig::default()
     };
     for problem in rows.as_chunks::<5>().0.chunks((*points as usize).max(1)) {

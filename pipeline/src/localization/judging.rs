@@ -110,7 +110,7 @@ impl Localizer {
         let false_alarms = |fit: &FocalFit| {
             let (cameras, pose) = (fit.cameras(query.cameras), &fit.world_from_rig);
             let agreement = first.agreement(&cameras, pose, ransac.max_error_px);
-            agreement.log10_false_alarms(found.places)
+            agreement.log10_false_alarms_with_focal(found.places)
         };
         let fits = near.into_iter().chain(others);
         let best = fits

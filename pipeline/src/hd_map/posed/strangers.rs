@@ -70,7 +70,7 @@ pub(super) fn strangers(
         };
         said.push(format!(
             "{} of {} images were taken elsewhere than their poses say ({}{more}): of {} matches of the first with {} only {} lie where \
-             the poses have them; leave such images out, or mend their poses",
+             the poses have them",
             elsewhere.len(),
             images.len(),
             named.join(", "),
