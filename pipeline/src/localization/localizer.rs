@@ -6,7 +6,7 @@ use super::guided_matching::{GuidedConfig, GuidedPose, Query};
 use super::map_error::MapError;
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
-use super::ransac::{RansacConfig, estimate_pose};
+use super::ransac::estimate_pose;
 use super::voting::{Candidates, Places, Vote};
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
@@ -256,40 +256,15 @@ impl Localizer {
             }
         }
         let resolved = query.resolve(&pairs);
+        let estimate = estimate_pose(query.cameras, &resolved, &self.config.ransac)?;
+        let pose = query.guided_pose(&points, &estimate.world_from_rig, &self.guided())?;
         let shown = pairs.iter().map(|p| p.point);
-        let judged = distances.into_iter().zip(shown).zip(&resolved);
-        let judged = judged.map(|((distance, point), m)| (distance, point, *m));
-        let ransac = &self.config.ransac;
-        let first = FirstMatches::new(judged.collect(), ransac.max_error_px);
-        let pose_within = |share: f64| {
-            let searched = RansacConfig {
-                max_error_px: share * ransac.max_error_px,
-                ..ransac.clone()
-            };
-            let start = estimate_pose(query.cameras, &resolved, &searched)?.world_from_rig;
-            let pose = query.guided_pose(&points, &start, &self.guided())?;
-            let world_from_rig = &pose.world_from_rig;
-            let agreement = first.agreement(query.cameras, world_from_rig, ransac.max_error_px);
-            Some((agreement, pose))
-        };
-        let mut best: Option<(Agreement, GuidedPose)> = None;
-        for share in TOLERANCES {
-            let is_clear = |(agreement, _): &(Agreement, GuidedPose)| {
-                agreement.inliers as f64 > CLEAR_SHARE * agreement.matches as f64
-            };
-            if best.as_ref().is_some_and(is_clear) {
-                break;
-            }
-            let by_chance =
-                |(agreement, _): &(Agreement, GuidedPose)| agreement.log10_false_alarms(1);
-            let best_so_far = best.as_ref().map_or(f64::INFINITY, by_chance);
-            best = pose_within(share)
-                .filter(|found| by_chance(found) < best_so_far)
-                .or(best);
-        }
-        let (agreement, pose) = best?;
+        let judged = distances.into_iter().zip(shown).zip(resolved);
+        let judged = judged.map(|((distance, point), m)| (distance, point, m));
+        let max_error_px = self.config.ransac.max_error_px;
+        let first = FirstMatches::new(judged.collect(), max_error_px);
         Some(Hypothesis {
-            agreement,
+            agreement: first.agreement(query.cameras, &pose.world_from_rig, max_error_px),
             first,
             points,
             pose,
@@ -297,11 +272,6 @@ impl Localizer {
         })
     }
 }
-
-/// Shares of the largest error with which a pose is looked for at a place, one after the other until a clear share of the first matches
-/// agrees: where map and lens are exact a smaller error keeps wrong matches from bending the pose, where they are not the larger is needed.
-const TOLERANCES: [f64; 3] = [1.0, 0.5, 0.25];
-const CLEAR_SHARE: f64 = 0.5;
 
 /// Decimal logarithm of the false alarms below which a pose was surely not found by chance.
 const NO_CHANCE_LOG10: f64 = -10.0;

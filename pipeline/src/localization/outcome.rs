@@ -64,6 +64,11 @@ pub enum NotLocalizedReason {
         /// Size of this one, pixels.
         found_px: [u32; 2],
     },
+    /// The image cannot be decoded.
+    Unreadable {
+        /// Which, and why.
+        message: String,
+    },
     /// No place got enough votes.
     NoPlace {
         /// Votes of the best one.
@@ -128,6 +133,7 @@ impl fmt::Display for NotLocalized {
                 "the image has {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the \
                  intrinsics for images of this size, or the images as the camera took them"
             ),
+            NotLocalizedReason::Unreadable { message } => f.write_str(message),
             NotLocalizedReason::NoPlace { votes } => write!(
                 f,
                 "no place of the map resembles this view (best: {votes} votes): it may be outside the map"

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Rig, Se3};
+use lsfb_perception::image::ImageError;
 use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
@@ -105,6 +106,16 @@ pub fn localize_images(
                         camera,
                         expected_px,
                         found_px,
+                    },
+                }),
+                // One damaged file of many is no reason to give up.
+                Err(
+                    error @ Error::Image(
+                        ImageError::Damaged { .. } | ImageError::OtherFormat { .. },
+                    ),
+                ) => Err(NotLocalized {
+                    reason: NotLocalizedReason::Unreadable {
+                        message: error.to_string(),
                     },
                 }),
                 Err(error) => return Err(error),

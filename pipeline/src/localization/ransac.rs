@@ -118,8 +118,8 @@ pub fn estimate_pose(
                 cameras,
                 matches,
                 &bearings,
-                (world_from_rig, score),
-                ROUNDS_ON_THE_WAY,
+                world_from_rig,
+                score,
                 config,
             ));
             let (pose, _) = best.as_ref()?;
@@ -127,14 +127,7 @@ pub fn estimate_pose(
             needed = samples_needed(count as f64 / bearings.len() as f64, 3, config.confidence);
         }
     }
-    let (world_from_rig, _) = optimise(
-        cameras,
-        matches,
-        &bearings,
-        best?,
-        ROUNDS_AT_THE_END,
-        config,
-    );
+    let (world_from_rig, _) = best?;
     let inliers: Vec<usize> = inliers(&bearings, &world_from_rig.inverse())
         .map(|b| b.match_index)
         .collect();
@@ -225,23 +218,17 @@ fn inliers<'a>(
         .filter(move |b| squared_sine(b, &rotation, &translation) <= b.limit)
 }
 
-/// Rounds of [`optimise`] on the way, and of the best pose in the end.
-const ROUNDS_ON_THE_WAY: usize = 3;
-const ROUNDS_AT_THE_END: usize = 4;
-/// A round that lowers the score by a smaller share is the last one.
-const LEAST_GAIN: f64 = 1e-3;
-
 /// Refines on the inliers while that lowers the score.
 fn optimise(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
     bearings: &[Bearing],
-    start: (Se3, f64),
-    rounds: usize,
+    start: Se3,
+    start_score: f64,
     config: &RansacConfig,
 ) -> (Se3, f64) {
-    let mut best = start;
-    for _ in 0..rounds {
+    let mut best = (start, start_score);
+    for _ in 0..4 {
         let support: Vec<PointMatch> = inliers(bearings, &best.0.inverse())
             .map(|b| matches[b.match_index])
             .collect();
@@ -251,11 +238,7 @@ fn optimise(
         let Some(better) = score(bearings, &refined.world_from_rig.inverse(), best.1) else {
             break;
         };
-        let is_last = better > (1.0 - LEAST_GAIN) * best.1;
         best = (refined.world_from_rig, better);
-        if is_last {
-            break;
-        }
     }
     best
 }

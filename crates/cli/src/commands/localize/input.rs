@@ -246,9 +246,9 @@ impl Input {
                     None => localize(0, &asked)?,
                 };
                 Ok(Found {
-                    frames,
+                    damaged: frames.iter().filter(|f| f.unreadable).count() as u64,
                     times: Vec::new(),
-                    damaged: 0,
+                    frames,
                 })
             }
             Self::Walk { walk, .. } => {
@@ -266,7 +266,7 @@ impl Input {
     }
 }
 
-/// The frames, and how many messages were damaged.
+/// The frames, and how many images or messages were damaged.
 pub struct Found {
     pub frames: Vec<Frame>,
     /// Of the instants of a walk.

@@ -170,7 +170,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     context.print(&summary, || text(&summary))?;
     if found.damaged > 0 {
-        context.say(&format!("{} damaged messages were left out", found.damaged));
+        context.say(&format!(
+            "{} damaged images or messages were left out",
+            found.damaged
+        ));
         return Ok(Outcome::DataLost);
     }
     Ok(match summary.map_failures.is_empty() {
