@@ -114,6 +114,11 @@ pub fn build_map_from_posed_images(
         }
         false => (posed.rig.clone(), BTreeMap::new()),
     };
+    // Matches lie along other lines where cameras are other than stated.
+    let tracks = match stated.is_empty() {
+        true => tracks,
+        false => find_tracks(&rig, &keyframes, &images, reconstruction, progress)?,
+    };
     let triangulation = &reconstruction.triangulation;
     let points = triangulate_tracks(&rig, &keyframes, &images, &tracks, triangulation)?;
     expect_map(&points, &images)?;
