@@ -8,6 +8,7 @@ mod build;
 mod contradicted;
 mod export;
 mod file;
+mod freed_cameras;
 mod keyframe_covariance;
 mod merge;
 mod point_quality;
@@ -36,13 +37,14 @@ use crate::features::{DESCRIPTOR_LEN, Descriptor, Feature};
 pub use build::{HdMapConfig, MapContent};
 pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 pub use file::FORMAT_VERSION;
+pub(crate) use freed_cameras::{FreedCameras, Sights};
 use keyframe_covariance::CovarianceColumns;
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
 pub use prepared_image::KeyframeImage;
 pub use prune::{PruneConfig, PruneReport};
-pub(crate) use reconstruction::expect_map;
+pub(crate) use reconstruction::{CERTAIN_VIEWS, expect_map};
 pub use reconstruction::{
     MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
 };

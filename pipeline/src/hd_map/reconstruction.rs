@@ -37,6 +37,9 @@ pub struct MapPoint {
     pub reprojection_rms_px: f64,
 }
 
+/// Views that make a point certain: any two meet somewhere by chance, whatever their poses.
+pub(crate) const CERTAIN_VIEWS: usize = 3;
+
 /// Indices of poses that differ from the last chosen one by at least `min_distance`, in the unit of the poses, or
 /// `min_angle_deg`; the first is always chosen.
 pub fn select_keyframes(poses: &[Se3], min_distance: f64, min_angle_deg: f64) -> Vec<usize> {
@@ -127,9 +130,10 @@ pub(super) fn contradiction(
     Ok(contradicted(&prepared, config))
 }
 
-/// Refuses what is no map. Only points seen in three images or more count: any two images share some by mistake, whatever their poses.
+/// Refuses what is no map. Only certain points count.
 pub(crate) fn expect_map(points: &[MapPoint], images: &[KeyframeImage]) -> Result<(), Error> {
-    let confirmed = points.iter().filter(|p| p.observations.len() >= 3).count();
+    let is_certain = |p: &&MapPoint| p.observations.len() >= CERTAIN_VIEWS;
+    let confirmed = points.iter().filter(is_certain).count();
     if confirmed >= MIN_MAP_POINTS {
         return Ok(());
     }

@@ -18,6 +18,7 @@ mod p3p;
 mod queries;
 mod ransac;
 mod refinement;
+mod sequence;
 mod shared_errors;
 mod voting;
 

@@ -64,6 +64,11 @@ pub enum NotLocalizedReason {
         /// Size of this one, pixels.
         found_px: [u32; 2],
     },
+    /// The image cannot be decoded.
+    Unreadable {
+        /// Which, and why.
+        message: String,
+    },
     /// No place got enough votes.
     NoPlace {
         /// Votes of the best one.
@@ -82,6 +87,15 @@ pub enum NotLocalizedReason {
         best: Box<Localization>,
         /// How probable it must be.
         needed: f64,
+    },
+    /// Other poses of the walk contradict it: nobody moves that fast.
+    Sequence {
+        /// The pose, with what speaks for it: to be shown, not to be used.
+        best: Box<Localization>,
+        /// Poses of the seconds around it on the longest way through it.
+        agreeing: usize,
+        /// Those on the longest way through one that contradicts it.
+        contradicting: usize,
     },
 }
 
@@ -119,6 +133,7 @@ impl fmt::Display for NotLocalized {
                 "the image has {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the \
                  intrinsics for images of this size, or the images as the camera took them"
             ),
+            NotLocalizedReason::Unreadable { message } => f.write_str(message),
             NotLocalizedReason::NoPlace { votes } => write!(
                 f,
                 "no place of the map resembles this view (best: {votes} votes): it may be outside the map"
@@ -141,6 +156,15 @@ impl fmt::Display for NotLocalized {
                 best.matches.len(),
                 best.probability
             ),
+            NotLocalizedReason::Sequence {
+                agreeing,
+                contradicting,
+                ..
+            } => write!(
+                f,
+                "the poses of the seconds around it contradict it: of them {contradicting} can be walked through without it, {agreeing} with it; \
+                 the place may look like another"
+            ),
         }
     }
 }
@@ -152,7 +176,8 @@ impl NotLocalized {
     pub fn best(&self) -> Option<&Localization> {
         match &self.reason {
             NotLocalizedReason::Improbable { best, .. }
-            | NotLocalizedReason::FocalLength { best } => Some(best),
+            | NotLocalizedReason::FocalLength { best }
+            | NotLocalizedReason::Sequence { best, .. } => Some(best),
             _ => None,
         }
     }

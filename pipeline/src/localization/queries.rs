@@ -2,10 +2,12 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Rig, Se3};
+use lsfb_perception::image::ImageError;
 use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
+use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
@@ -106,6 +108,16 @@ pub fn localize_images(
                         found_px,
                     },
                 }),
+                // One damaged file of many is no reason to give up.
+                Err(
+                    error @ Error::Image(
+                        ImageError::Damaged { .. } | ImageError::OtherFormat { .. },
+                    ),
+                ) => Err(NotLocalized {
+                    reason: NotLocalizedReason::Unreadable {
+                        message: error.to_string(),
+                    },
+                }),
                 Err(error) => return Err(error),
             };
             progress(Progress {
@@ -137,7 +149,8 @@ pub struct WalkLocalization {
     pub damaged: u64,
 }
 
-/// Localizes the images of each instant of a walk on their own. Refuses a detector of another feature than the map's.
+/// Localizes the images of each instant of a walk on their own, and refuses poses that those of the seconds around them contradict, in a
+/// map in metres. Refuses a detector of another feature than the map's.
 pub fn localize_recording(
     localizer: &Localizer,
     recording: &Recording,
@@ -148,6 +161,8 @@ pub fn localize_recording(
     localizer.map().expect_feature(&detector.feature())?;
     let read = read_frames(recording, &rig, detector, progress)?;
     let found = localize_frames(localizer, &read.frames, &rig, progress)?;
+    let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
+    let found = refuse_contradicted(&times, found);
     let instants = read.frames.iter().zip(found);
     Ok(WalkLocalization {
         instants: instants

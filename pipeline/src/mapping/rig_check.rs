@@ -6,10 +6,9 @@
 //! move through the images between them is what tells the errors.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use lsfb_geometry::{Rig, RigCamera, Se3, Trajectory, Vector3, so3};
-use lsfb_solver::{Block, Kernel, Problem, VectorPrior, covariance};
+use lsfb_solver::{Block, Problem, covariance};
 use lsfb_types::{ProgressFn, Timestamp};
 use nalgebra::SMatrix;
 
@@ -21,8 +20,8 @@ use super::keyframes::Keyframes;
 use super::{MappingConfig, triangulate_round};
 use crate::Error;
 use crate::features::tracks::Track;
-use crate::hd_map::MapPoint;
-use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera, MovingReprojection, entry};
+use crate::hd_map::{CERTAIN_VIEWS, FreedCameras, MapPoint, Sights};
+use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera, entry};
 use crate::solve::solve_or_stop;
 
 /// What is checked.
@@ -51,8 +50,6 @@ const ROUNDS: usize = 3;
 /// Errors that change by less than this many standard deviations, or this share of what a map bears, are found.
 const FOUND_SIGMAS: f64 = 0.5;
 const FOUND_SHARE: f64 = 0.25;
-/// Two views of anything meet somewhere by chance.
-const CERTAIN_VIEWS: usize = 3;
 /// More observations tell nothing new: all that is common to them is known by then.
 const MOST_OBSERVATIONS: usize = 30_000;
 
@@ -143,38 +140,21 @@ fn solve_round(
     let Keyframes { frames, images } = checked.keyframes;
     let mut problem = Problem::new();
     let poses = add_keyframes(&mut problem, checked.keyframes, &checked.terms, config)?;
-    let mut cameras: BTreeMap<&str, (Arc<MovingCamera>, Block<CameraCorrection>)> = BTreeMap::new();
-    for (name, camera) in &rig.cameras {
-        let block = problem.add_block(CameraCorrection::zeros());
-        let prior = VectorPrior::new(CameraCorrection::zeros(), possible());
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-        cameras.insert(name, (MovingCamera::new(camera), block));
-    }
+    let cameras = FreedCameras::add_to(&mut problem, rig, &possible())?;
     let motions: Vec<FrameMotion> = frames
         .iter()
         .map(|k| motion_at(checked.trajectory, k.time, &k.world_from_rig).unwrap_or_default())
         .collect();
-    for point in points {
-        let block = problem.add_eliminated_point(point.point_in_world);
-        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(POINT_SIGMA_M));
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-        for o in &point.observations {
-            let image = &images[o.image];
-            let Some((camera, correction)) = cameras.get(image.camera.as_str()) else {
-                continue;
-            };
-            let residual = MovingReprojection {
-                camera: camera.clone(),
-                motion: motions[image.keyframe],
-                pixel: image.features.keypoints[o.keypoint as usize].pixel_f64(),
-                sigma_px: checked.terms.weights.pixel_sigma_px,
-            };
-            let blocks = [poses[image.keyframe].id(), correction.id(), block.id()];
-            problem.add_residual(residual, &blocks, Kernel::Huber { scale: 2.0 })?;
-        }
-    }
+    let sights = Sights {
+        images,
+        poses: &poses,
+        motions: &motions,
+        sigma_px: checked.terms.weights.pixel_sigma_px,
+        point_sigma: POINT_SIGMA_M,
+    };
+    cameras.add_points(&mut problem, points, &sights)?;
     solve_or_stop("cameras", &mut problem, &config.solver, progress)?;
-    let blocks: Vec<_> = cameras.values().map(|(_, block)| *block).collect();
+    let blocks: Vec<_> = cameras.corrections().map(|(_, block)| block).collect();
     let ids: Vec<_> = blocks.iter().map(|block| block.id()).collect();
     let covariance = covariance(&problem, &ids)?;
     let found = |block: &Block<CameraCorrection>| {

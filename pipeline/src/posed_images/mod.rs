@@ -202,8 +202,15 @@ fn read_pinhole(path: &Path, width: u32, height: u32) -> Result<Camera, Error> {
     fitting(path, camera)
 }
 
-/// The camera, unless its principal point is far from the middle of its images.
+/// The camera, unless no lens has its focal lengths, or its principal point is far from the middle of its images.
 fn fitting(path: &Path, camera: Camera) -> Result<Camera, Error> {
+    if camera.focal_px().iter().any(|focal_px| !(*focal_px > 0.0)) {
+        return Err(Error::PosedImages {
+            path: path.to_owned(),
+            line: 1,
+            reason: "the focal lengths must be larger than zero",
+        });
+    }
     if !principal_point_fits(&camera) {
         return Err(Error::PrincipalPointOffCentre {
             camera: path.display().to_string(),

@@ -7,18 +7,19 @@
 //! remains of it when runs of keyframes are left out, one after the other: errors of the poses are in that, and in no pixel's σ.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use lsfb_geometry::{Rig, RigCamera, StampedPose, Vector3, so3};
 use lsfb_perception::statistics::median;
-use lsfb_solver::{Block, Kernel, Problem, SolveConfig, VectorPrior};
+use lsfb_solver::{Problem, SolveConfig};
 use lsfb_types::ProgressFn;
 
 use crate::Error;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
-use crate::hd_map::{KeyframeImage, MapPoint, triangulate_tracks};
-use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera, MovingReprojection, entry};
+use crate::hd_map::{
+    CERTAIN_VIEWS, FreedCameras, KeyframeImage, MapPoint, Sights, triangulate_tracks,
+};
+use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera, entry};
 use crate::solve::solve_or_stop;
 
 /// Images with poses, and what they share.
@@ -44,8 +45,6 @@ const POINT_SIGMA_PER_DEPTH: f64 = 10.0;
 const ROUNDS: usize = 3;
 /// In the first round views that are off by so many times the limit are kept.
 const FIRST_TOLERANCE: f64 = 2.0;
-/// Two views of anything meet somewhere by chance.
-const CERTAIN_VIEWS: usize = 3;
 /// With fewer observations nothing is said of a camera; more tell nothing new.
 const FEWEST_OBSERVATIONS: usize = 1_500;
 const MOST_OBSERVATIONS: usize = 20_000;
@@ -145,13 +144,7 @@ fn solve(
             block
         })
         .collect();
-    let mut cameras: BTreeMap<&str, (Arc<MovingCamera>, Block<CameraCorrection>)> = BTreeMap::new();
-    for (name, camera) in &rig.cameras {
-        let block = problem.add_block(CameraCorrection::zeros());
-        let prior = VectorPrior::new(CameraCorrection::zeros(), possible(shown.depth));
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-        cameras.insert(name, (MovingCamera::new(camera), block));
-    }
+    let cameras = FreedCameras::add_to(&mut problem, rig, &possible(shown.depth))?;
     let errors = points.iter().map(|p| p.reprojection_rms_px).collect();
     // Of two numbers.
     let sigma_px = (median(errors).unwrap_or(0.0) / 2f64.sqrt()).max(0.1);
@@ -160,30 +153,19 @@ fn solve(
         let keyframe = first.map_or(0, |o| shown.images[o.image].keyframe);
         keyframe * RUNS / shown.keyframes.len().max(1)
     };
-    for point in points.iter().filter(|p| Some(run_of(p)) != without_run) {
-        let block = problem.add_eliminated_point(point.point_in_world);
-        let sigma = Vector3::repeat(POINT_SIGMA_PER_DEPTH * shown.depth);
-        let prior = VectorPrior::new(point.point_in_world, sigma);
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-        for o in &point.observations {
-            let image = &shown.images[o.image];
-            let Some((camera, correction)) = cameras.get(image.camera.as_str()) else {
-                continue;
-            };
-            let residual = MovingReprojection {
-                camera: camera.clone(),
-                motion: FrameMotion::default(),
-                pixel: image.features.keypoints[o.keypoint as usize].pixel_f64(),
-                sigma_px,
-            };
-            let blocks = [poses[image.keyframe].id(), correction.id(), block.id()];
-            problem.add_residual(residual, &blocks, Kernel::Huber { scale: 2.0 })?;
-        }
-    }
+    let sights = Sights {
+        images: shown.images,
+        poses: &poses,
+        motions: &vec![FrameMotion::default(); poses.len()],
+        sigma_px,
+        point_sigma: POINT_SIGMA_PER_DEPTH * shown.depth,
+    };
+    let used = points.iter().filter(|p| Some(run_of(p)) != without_run);
+    cameras.add_points(&mut problem, used, &sights)?;
     solve_or_stop("cameras", &mut problem, &SolveConfig::default(), progress)?;
-    let found = cameras.iter();
+    let found = cameras.corrections();
     Ok(found
-        .map(|(name, (_, block))| ((*name).to_owned(), problem.value(*block)))
+        .map(|(name, block)| (name.to_owned(), problem.value(block)))
         .collect())
 }
 

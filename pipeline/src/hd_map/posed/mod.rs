@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 use super::reconstruction::{contradiction, depth_of_images, expect_map};
 use super::scene_depth::depth_pairs;
 use super::{
-    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, find_tracks, reconstruct,
-    select_keyframes,
+    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, find_tracks,
+    select_keyframes, triangulate_tracks,
 };
 use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
 use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
 use crate::posed_images::PosedImages;
 use cameras::{Shown, found_cameras};
-use strangers::strangers;
+use strangers::{Mapped, strangers};
 
 /// Images in memory at once.
 const BATCH: usize = 32;
@@ -99,10 +99,10 @@ pub fn build_map_from_posed_images(
     detected.detect(&chosen, progress)?;
     let (keyframes, images) = detected.keyframes(&chosen);
     drop(detected);
+    let reconstruction = &config.reconstruction;
+    let tracks = find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)?;
     let (rig, stated) = match config.refine_cameras {
         true => {
-            let reconstruction = &config.reconstruction;
-            let tracks = find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)?;
             let shown = Shown {
                 keyframes: &keyframes,
                 images: &images,
@@ -114,7 +114,13 @@ pub fn build_map_from_posed_images(
         }
         false => (posed.rig.clone(), BTreeMap::new()),
     };
-    let points = reconstruct(&rig, &keyframes, &images, &config.reconstruction, progress)?;
+    // Matches lie along other lines where cameras are other than stated.
+    let tracks = match stated.is_empty() {
+        true => tracks,
+        false => find_tracks(&rig, &keyframes, &images, reconstruction, progress)?,
+    };
+    let triangulation = &reconstruction.triangulation;
+    let points = triangulate_tracks(&rig, &keyframes, &images, &tracks, triangulation)?;
     expect_map(&points, &images)?;
     let content = MapContent {
         rig: &rig,
@@ -126,7 +132,19 @@ pub fn build_map_from_posed_images(
     };
     let map = HdMap::build(&content, &config.map, progress)?;
     let map = map.with_stated_cameras(stated);
-    let strangers = strangers(&images, &points);
+    let mapped = Mapped {
+        rig: &rig,
+        keyframes: &keyframes,
+        images: &images,
+        points: &points,
+        map: &map,
+        config: reconstruction,
+    };
+    let strangers = strangers(&mapped, |image| {
+        let path = chosen.get(image).map(|i| &posed.images[*i].path);
+        let name = path.and_then(|path| path.file_name()).unwrap_or_default();
+        name.to_string_lossy().into_owned()
+    })?;
     Ok(map.with_failures(contradiction.into_iter().chain(strangers).collect()))
 }
 

@@ -1,48 +1,196 @@
-//! Images that share hardly anything with the others: their poses are not theirs.
+//! Images whose poses are not theirs.
 //!
 //! A few images under other images' poses change neither what most pairs say (`contradicted`) nor how most points fit: their features
-//! make no points, and nobody hears of it. In the HoloLens office with every tenth image under another's pose 29 keyframes have 0 to 16
-//! observations where the median has 216; of right images the least has an eighth of the median.
+//! make no points, and nobody hears of it. They are found in two ways. An image that shares hardly anything with those around it is
+//! looked up in the map by its features: where it resembles an image with which it should share nothing, and that so much that their matches
+//! contradict the poses, its pose is not its own. And many images that share hardly anything with the others are no accident, whatever they
+//! show. In the HoloLens office with every tenth image under another's pose 29 keyframes have 0 to 16 observations where the median has 216;
+//! of right images the least has an eighth of the median.
 
-use super::super::{KeyframeImage, MapPoint};
+use lsfb_geometry::{Rig, StampedPose};
+use lsfb_types::quantile;
+use rayon::prelude::*;
 
-/// Views that make a point certain: two meet somewhere by chance.
-const CERTAIN_VIEWS: usize = 3;
-/// Share of the median number of observations below which an image is a stranger.
-const LEAST_SHARE: f64 = 1.0 / 12.0;
+use super::super::prepared_image::{PreparedImage, compare_pair, prepare};
+use super::super::{CERTAIN_VIEWS, HdMap, KeyframeImage, MapPoint, ReconstructionConfig};
+use crate::Error;
+use crate::descriptor_index::SearchScratch;
+
+/// Images that share much with others have as many observations as this quantile, up to where nine of ten are wrong.
+const REFERENCE: f64 = 0.9;
+/// Shares of that: below the first an image is looked up, below the second it shares hardly anything with the others.
+const SUSPECT_SHARE: f64 = 1.0 / 6.0;
+const LEAST_SHARE: f64 = 1.0 / 24.0;
 /// Images with fewer features show little of anything.
 const FEWEST_FEATURES: usize = 200;
-/// Strangers, and their share of all images, that are no accident.
+/// Images that share hardly anything, and their share of all, that are no accident.
 const FEWEST: usize = 2;
 const FEWEST_SHARE: f64 = 0.02;
+/// Features by which an image is looked up, how many neighbours of each vote, and lists that are searched for them.
+const LOOKED_UP: usize = 200;
+const VOTING: usize = 3;
+const PROBES: usize = 8;
+const COMPARED: usize = 20;
+/// Matches of two images from which on they say whether the poses are theirs, and the share of these that lie where the poses have them:
+/// of the right poses most do.
+const LEAST_MATCHES: usize = 30;
+const LEAST_RIGHT: f64 = 0.3;
+/// Images that are named.
+const NAMED: usize = 5;
 
-/// What is wrong, in words; `None` where nothing is.
-pub(super) fn strangers(images: &[KeyframeImage], points: &[MapPoint]) -> Option<String> {
-    let mut observations = vec![0usize; images.len()];
-    let certain = points
-        .iter()
-        .filter(|p| p.observations.len() >= CERTAIN_VIEWS);
-    for o in certain.flat_map(|p| &p.observations) {
-        if let Some(count) = observations.get_mut(o.image) {
-            *count += 1;
+/// Images with the map that was made of them.
+pub(super) struct Mapped<'a> {
+    pub rig: &'a Rig,
+    pub keyframes: &'a [StampedPose],
+    pub images: &'a [KeyframeImage],
+    /// Those of the map, in its order.
+    pub points: &'a [MapPoint],
+    pub map: &'a HdMap,
+    pub config: &'a ReconstructionConfig,
+}
+
+/// What is wrong, in words: a sentence for each way in which it was found. `name` names an image.
+pub(super) fn strangers(
+    mapped: &Mapped,
+    name: impl Fn(usize) -> String,
+) -> Result<Vec<String>, Error> {
+    let Mapped { images, points, .. } = mapped;
+    let counts = Counts::of(images, points);
+    let mut said = Vec::new();
+    let elsewhere = mapped.elsewhere(&counts.below(SUSPECT_SHARE))?;
+    if let Some(first) = elsewhere.first() {
+        let named: Vec<String> = elsewhere
+            .iter()
+            .take(NAMED)
+            .map(|e| name(e.image))
+            .collect();
+        let more = match elsewhere.len() > NAMED {
+            true => ", …",
+            false => "",
+        };
+        said.push(format!(
+            "{} of {} images were taken elsewhere than their poses say ({}{more}): of {} matches of the first with {} only {} lie where \
+             the poses have them",
+            elsewhere.len(),
+            images.len(),
+            named.join(", "),
+            first.matches,
+            name(first.resembles),
+            first.right,
+        ));
+    }
+    said.extend(counts.strange());
+    Ok(said)
+}
+
+/// How much images share with one another.
+struct Counts {
+    /// Observations of certain points, by image; `None` of one that shows little of anything.
+    observations: Vec<Option<usize>>,
+    /// What images have that share much with others.
+    reference: f64,
+}
+
+impl Counts {
+    fn of(images: &[KeyframeImage], points: &[MapPoint]) -> Self {
+        let mut counts = vec![0usize; images.len()];
+        let is_certain = |p: &&MapPoint| p.observations.len() >= CERTAIN_VIEWS;
+        let certain = points.iter().filter(is_certain);
+        for o in certain.flat_map(|p| &p.observations) {
+            if let Some(count) = counts.get_mut(o.image) {
+                *count += 1;
+            }
+        }
+        let all = counts.iter().map(|count| *count as f64).collect();
+        let shows = |image: &KeyframeImage| image.features.len() >= FEWEST_FEATURES;
+        let counted = counts.iter().zip(images);
+        Self {
+            reference: quantile(all, REFERENCE).unwrap_or(0.0),
+            observations: counted
+                .map(|(n, image)| shows(image).then_some(*n))
+                .collect(),
         }
     }
-    let mut sorted = observations.clone();
-    sorted.sort_unstable();
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0) as f64;
-    let counted = observations.iter().zip(images);
-    let strange = counted
-        .filter(|(count, image)| {
-            (**count as f64) < LEAST_SHARE * median && image.features.len() >= FEWEST_FEATURES
+
+    /// Images with less than a share of what others have.
+    fn below(&self, share: f64) -> Vec<usize> {
+        let few = |i: &usize| {
+            self.observations[*i].is_some_and(|count| (count as f64) < share * self.reference)
+        };
+        (0..self.observations.len()).filter(few).collect()
+    }
+
+    /// What is wrong where too many share hardly anything.
+    fn strange(&self) -> Option<String> {
+        let (strange, all) = (self.below(LEAST_SHARE).len(), self.observations.len());
+        let is_wrong = strange >= FEWEST && strange as f64 >= FEWEST_SHARE * all as f64;
+        is_wrong.then(|| {
+            format!(
+                "{strange} of {all} images share hardly anything with those that should see the same: their poses are not theirs"
+            )
         })
-        .count();
-    let is_wrong = strange >= FEWEST && strange as f64 >= FEWEST_SHARE * images.len() as f64;
-    is_wrong.then(|| {
-        format!(
-            "{strange} of {} images share hardly anything with those that should see the same: their poses are not theirs",
-            images.len()
-        )
-    })
+    }
+}
+
+/// An image that resembles one which it should not.
+struct Elsewhere {
+    image: usize,
+    resembles: usize,
+    matches: usize,
+    right: usize,
+}
+
+impl Mapped<'_> {
+    /// Those of some images that were taken elsewhere.
+    fn elsewhere(&self, suspects: &[usize]) -> Result<Vec<Elsewhere>, Error> {
+        if suspects.is_empty() {
+            return Ok(Vec::new());
+        }
+        let prepared: Vec<PreparedImage> = self
+            .images
+            .par_iter()
+            .map(|image| prepare(self.rig, self.keyframes, image))
+            .collect::<Result<_, _>>()?;
+        let found = suspects.par_iter().filter_map(|image| {
+            let resembles = self.most_alike(*image)?;
+            let (matches, right) = compare_pair(&prepared, *image, resembles, self.config);
+            let contradicts =
+                matches >= LEAST_MATCHES && (right as f64) < LEAST_RIGHT * matches as f64;
+            contradicts.then_some(Elsewhere {
+                image: *image,
+                resembles,
+                matches,
+                right,
+            })
+        });
+        Ok(found.collect())
+    }
+
+    /// The image most features of another one vote for.
+    fn most_alike(&self, image: usize) -> Option<usize> {
+        let descriptors = &self.images[image].features.descriptors;
+        let step = descriptors.len().div_ceil(LOOKED_UP).max(1);
+        let mut votes = vec![0usize; self.images.len()];
+        let mut scratch = SearchScratch::default();
+        for descriptor in descriptors.iter().step_by(step) {
+            let map = self.map;
+            let near = map.nearest(descriptor, VOTING, PROBES, COMPARED, &mut scratch);
+            let shown = near
+                .iter()
+                .filter_map(|n| self.points.get(n.point as usize));
+            for o in shown.flat_map(|p| &p.observations) {
+                if let Some(votes) = votes.get_mut(o.image).filter(|_| o.image != image) {
+                    *votes += 1;
+                }
+            }
+        }
+        let most = votes
+            .iter()
+            .enumerate()
+            .rev()
+            .max_by_key(|(_, votes)| **votes)?;
+        (*most.1 > 0).then_some(most.0)
+    }
 }
 
 #[cfg(test)]
@@ -53,7 +201,7 @@ mod tests {
     use crate::features::{Features, Keypoint};
     use crate::hd_map::PointObservation;
 
-    /// A tenth of the images under each other's poses was PASS.
+    /// A tenth of the images under each other's poses was PASS, and of half of them the median had no observation.
     #[test]
     fn a_tenth_of_the_images_under_other_poses_is_named() {
         let keypoint = Keypoint {
@@ -86,16 +234,20 @@ mod tests {
             };
             (0..2000).map(point).collect()
         };
-        assert_eq!(strangers(&images, &points(0)), None);
-        assert_eq!(strangers(&images, &points(1)), None);
-        let said = strangers(&images, &points(4)).expect("named");
-        assert!(said.starts_with("4 of 40 images"), "{said}");
+        let strange =
+            |images: &[KeyframeImage], points: &[MapPoint]| Counts::of(images, points).strange();
+        assert_eq!(strange(&images, &points(0)), None);
+        assert_eq!(strange(&images, &points(1)), None);
+        for wrong in [4, 20, 30] {
+            let said = strange(&images, &points(wrong)).expect("named");
+            assert!(said.starts_with(&format!("{wrong} of 40 images")), "{said}");
+        }
         // Images that show nothing are no strangers.
         let mut black = images.clone();
         black[..4]
             .iter_mut()
             .for_each(|i| i.features = Features::default());
-        assert_eq!(strangers(&black, &points(4)), None);
-        assert_eq!(strangers(&[], &[]), None);
+        assert_eq!(strange(&black, &points(4)), None);
+        assert_eq!(strange(&[], &[]), None);
     }
 }

@@ -104,6 +104,23 @@ fn a_map_does_not_depend_on_the_unit_of_its_poses() {
     }
 }
 
+/// Two images that have each other's pose were a hundredth of an office, and nobody heard of it.
+#[test]
+fn two_images_with_each_others_pose_are_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut posed = walk(folder.path(), 1.0);
+    let (second, ninth) = (
+        posed.images[1].world_from_rig,
+        posed.images[8].world_from_rig,
+    );
+    posed.images[1].world_from_rig = ninth;
+    posed.images[8].world_from_rig = second;
+    let map = build_map_from_posed_images(&posed, &PosedMapConfig::default(), &no_progress);
+    let map = map.expect("a map");
+    let named = |part: &str| map.failures().iter().any(|f| f.contains(part));
+    assert!(named("1.bmp") && named("8.bmp"), "{:?}", map.failures());
+}
+
 /// An office whose images lay under each other's poses gave a map without a word, and images were localized in it metres off.
 #[test]
 fn images_under_the_poses_of_their_neighbours_are_no_sound_map() {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use lsfb_geometry::Se3;
-use lsfb_pipeline::localization::{Evidence, Localization, NotLocalized};
+use lsfb_pipeline::localization::{Evidence, Localization, NotLocalized, NotLocalizedReason};
 use serde::{Deserialize, Serialize};
 
 use super::PAPER_INLIERS;
@@ -17,6 +17,8 @@ pub struct Frame {
     pub localized: bool,
     /// Why not, where it is not.
     pub reason: Option<String>,
+    /// Whether that is an image that cannot be decoded.
+    pub unreadable: bool,
     /// The best pose, localized or not.
     pub pose: Option<Pose>,
     /// Distance from the listed pose, metres.
@@ -65,6 +67,9 @@ impl Frame {
             frame,
             localized: found.is_ok(),
             reason: found.as_ref().err().map(ToString::to_string),
+            unreadable: found.as_ref().is_err_and(|refused| {
+                matches!(refused.reason, NotLocalizedReason::Unreadable { .. })
+            }),
             pose: best.map(Pose::new),
             distance_m: off.map(|off| off.translation.norm()),
             angle_deg: off.map(|off| off.rotation.angle().to_degrees()),
@@ -174,6 +179,7 @@ pub mod tests {
             frame: name,
             localized: true,
             reason: None,
+            unreadable: false,
             pose: Some(Pose {
                 translation_m: [x_m, x_m / 3.0, -0.0],
                 rotation_xyzw: [0.1 * x_m, 0.0, 0.0, 1.0],
@@ -197,6 +203,7 @@ pub mod tests {
             frame: name,
             localized: false,
             reason: Some("\"too few\" matches".to_owned()),
+            unreadable: false,
             pose: None,
             distance_m: None,
             angle_deg: None,

@@ -9,11 +9,12 @@ use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::localization::{
     Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording,
 };
-use lsfb_pipeline::posed_images::{PosedImages, rig_of};
+use lsfb_pipeline::posed_images::{PosedImages, read_image, rig_of};
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::Progress;
+use lsfb_types::{Progress, Timestamp};
 
 use super::Arguments;
+use super::drawing::Shown;
 use super::frames::Frame;
 use super::unfinished::{Asked, Unfinished};
 use crate::context::Context;
@@ -39,8 +40,11 @@ pub enum Input {
         listed: Option<Vec<Se3>>,
     },
     /// The instants of a walk.
-    Walk(Box<Recording>),
+    Walk { walk: Box<Recording>, rig: Box<Rig> },
 }
+
+/// Images of one instant of a walk are at most this far apart.
+const SAME_INSTANT_SECS: f64 = 2e-3;
 
 impl Input {
     /// Reads what the arguments name.
@@ -56,11 +60,13 @@ impl Input {
         crate::files::expect_file(path, "name a walk (MCAP) or a folder of images")?;
         if path.is_file() {
             anyhow::ensure!(
-                arguments.rig.is_none() && arguments.every == 1 && arguments.explain.is_none(),
-                "{}: --rig, --every and --explain are for folders of images; a walk brings its own rig",
+                arguments.rig.is_none() && arguments.every == 1,
+                "{}: --rig and --every are for folders of images; a walk brings its own rig",
                 path.display()
             );
-            return Ok(Self::Walk(Box::new(context.open(path)?)));
+            let walk = Box::new(context.open(path)?);
+            let rig = Box::new(walk.rig()?);
+            return Ok(Self::Walk { walk, rig });
         }
         let files = crate::files::image_files(path)?;
         let Some(first) = files.first() else {
@@ -111,6 +117,53 @@ impl Input {
         )
     }
 
+    /// The images of some frames; an error in place of what cannot be read. `times` are those of all instants of a walk.
+    pub fn shown(
+        &self,
+        frames: &[usize],
+        times: &[Timestamp],
+    ) -> anyhow::Result<Vec<anyhow::Result<Shown<'_>>>> {
+        match self {
+            Self::Images { rig, images, .. } => {
+                let shown = frames.iter().map(|frame| -> anyhow::Result<Shown<'_>> {
+                    let image = images.get(*frame).context("there is no such frame")?;
+                    let pixels = read_image(&image.path, &image.camera, rig)?;
+                    Ok(Shown {
+                        name: crate::files::name_of(&image.path),
+                        rig,
+                        images: vec![(image.camera.clone(), pixels)],
+                    })
+                });
+                Ok(shown.collect())
+            }
+            Self::Walk { walk, rig } => {
+                let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+                let nothing = |frame: &usize| Shown {
+                    name: times
+                        .get(*frame)
+                        .map_or_else(String::new, ToString::to_string),
+                    rig,
+                    images: Vec::new(),
+                };
+                let mut shown: Vec<Shown> = frames.iter().map(nothing).collect();
+                for item in walk.images_of(&cameras)?.flatten() {
+                    let is_here = |frame: &usize| {
+                        let time = times.get(*frame);
+                        time.is_some_and(|time| {
+                            let after_secs = item.image.time.secs_since(*time);
+                            (0.0..=SAME_INSTANT_SECS).contains(&after_secs)
+                        })
+                    };
+                    if let Some(place) = frames.iter().position(is_here) {
+                        let camera = cameras[item.camera].to_owned();
+                        shown[place].images.push((camera, item.image.sample));
+                    }
+                }
+                Ok(shown.into_iter().map(Ok).collect())
+            }
+        }
+    }
+
     /// A folder of images reduced to one of them.
     pub fn only(self, frame: usize) -> anyhow::Result<Self> {
         match self {
@@ -130,7 +183,7 @@ impl Input {
                     listed: listed.map(|poses| poses.into_iter().skip(frame).take(1).collect()),
                 })
             }
-            Self::Walk(walk) => Ok(Self::Walk(walk)),
+            walk @ Self::Walk { .. } => Ok(walk),
         }
     }
 
@@ -192,15 +245,20 @@ impl Input {
                     Some(unfinished) => unfinished.complete(&asked, localize)?,
                     None => localize(0, &asked)?,
                 };
-                Ok(Found { frames, damaged: 0 })
+                Ok(Found {
+                    damaged: frames.iter().filter(|f| f.unreadable).count() as u64,
+                    times: Vec::new(),
+                    frames,
+                })
             }
-            Self::Walk(walk) => {
+            Self::Walk { walk, .. } => {
                 let found = localize_recording(localizer, walk, detector, &|p| context.show(p))?;
                 let frames = found.instants.iter();
                 Ok(Found {
                     frames: frames
                         .map(|f| Frame::new(f.time.to_string(), &f.found, None))
                         .collect(),
+                    times: found.instants.iter().map(|f| f.time).collect(),
                     damaged: found.damaged,
                 })
             }
@@ -208,9 +266,11 @@ impl Input {
     }
 }
 
-/// The frames, and how many messages were damaged.
+/// The frames, and how many images or messages were damaged.
 pub struct Found {
     pub frames: Vec<Frame>,
+    /// Of the instants of a walk.
+    pub times: Vec<Timestamp>,
     pub damaged: u64,
 }
 

@@ -3,6 +3,7 @@
 mod drawing;
 mod frames;
 mod input;
+mod page;
 mod unfinished;
 
 use std::path::PathBuf;
@@ -31,7 +32,7 @@ use unfinished::Unfinished;
 ///   lsfb localize map photos --explain 12 --out-drawing 12.svg
 ///   lsfb localize --posed-images hololens_office --every 5 --map office-map
 #[derive(clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct Arguments {
     /// The map, a folder, unless --map names it; then a walk (MCAP) or a folder of images.
     #[arg(value_name = "PATH", num_args = 0..=2)]
@@ -55,9 +56,15 @@ pub struct Arguments {
     /// Write a line for each frame (CSV): pose, inliers, probability, standard deviations, covariance.
     #[arg(long, value_name = "CSV")]
     out: Option<PathBuf>,
+    /// Settings instead of the defaults; `lsfb localize --help` names them.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
     #[command(flatten)]
     models: ModelFolder,
-    /// Draw the matches of this frame, counted from 0, of a folder of images.
+    /// Also write a page: why frames were lost, with pictures of some of them.
+    #[arg(long, value_name = "HTML")]
+    out_report: Option<PathBuf>,
+    /// Draw the matches of this frame, counted from 0.
     #[arg(long, value_name = "FRAME", requires = "out_drawing")]
     explain: Option<usize>,
     /// Where to draw them (SVG).
@@ -65,9 +72,17 @@ pub struct Arguments {
     out_drawing: Option<PathBuf>,
 }
 
+/// All settings with their defaults, as `--config` takes them.
+fn settings() -> String {
+    let settings = toml::to_string(&LocalizerConfig::default()).unwrap_or_default();
+    format!("Settings of --config and their defaults:\n\n{settings}")
+}
+
 /// A pose counts as right within these, as in the benchmarks of the field.
 const RIGHT_DISTANCE_M: f64 = 0.10;
 const RIGHT_ANGLE_DEG: f64 = 5.0;
+/// Metres and degrees within which recall is reported besides.
+const RECALL: [(f64, f64); 3] = [(0.10, 1.0), (0.25, 2.0), (1.0, 5.0)];
 /// Inliers beyond which the paper counts an image as localized (Liu et al., section V-A).
 const PAPER_INLIERS: usize = 30;
 
@@ -79,11 +94,21 @@ struct Summary {
     more_than_30_inliers: usize,
     /// Within 10 cm and 5° of the listed pose; `None` where no poses are listed.
     right: Option<usize>,
+    /// Of all images; empty where no poses are listed.
+    recall: Vec<Recall>,
     median_distance_m: Option<f64>,
     median_angle_deg: Option<f64>,
     /// What was found wrong with the map when it was made: poses in it may be far off.
     map_failures: Vec<String>,
     frames: Vec<Frame>,
+}
+
+/// The share of the images that were localized within limits of their listed poses.
+#[derive(Serialize)]
+struct Recall {
+    distance_m: f64,
+    angle_deg: f64,
+    share: f64,
 }
 
 /// Localizes, writes, prints.
@@ -93,13 +118,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "--every 0 uses no image: give 1 or more"
     );
     let (map, input) = input::resolve(arguments)?;
-    for result in [&arguments.out, &arguments.out_drawing]
-        .into_iter()
-        .flatten()
-    {
+    let results = [
+        &arguments.out,
+        &arguments.out_drawing,
+        &arguments.out_report,
+    ];
+    for result in results.into_iter().flatten() {
         context.claim(result, &[&input])?;
     }
-    let config = LocalizerConfig::default();
+    let config: LocalizerConfig = super::config_or_default(arguments.config.as_deref())?;
     let localizer = Localizer::new(&super::open_map(&map)?, &config)?;
     let input = Input::open(&input, arguments, context)?;
     let input = match arguments.explain {
@@ -117,8 +144,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ));
     }
     let found = input.localize(&localizer, &detector, unfinished.as_mut(), context)?;
-    if let Some(path) = &arguments.out_drawing {
-        crate::files::write(path, drawing::draw(&localizer, &mut detector, &input)?)?;
+    if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
+        // Of a folder of images it is the only one by now.
+        let frame = if found.times.is_empty() { 0 } else { frame };
+        let count = found.frames.len();
+        anyhow::ensure!(
+            frame < count,
+            "--explain {frame}: there are {count} frames, counted from 0"
+        );
+        for shown in input.shown(&[frame], &found.times)? {
+            crate::files::write(path, drawing::draw(&localizer, &mut detector, &shown?)?)?;
+        }
     }
     if let Some(path) = &arguments.out {
         crate::files::write(path, frames::csv(&found.frames))?;
@@ -127,9 +163,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         unfinished.remove()?;
     }
     let summary = summary(found.frames, &input, localizer.map());
+    if let Some(path) = &arguments.out_report {
+        let times = &found.times;
+        let page = page::page(&summary, times, &input, &localizer, &mut detector, context)?;
+        crate::files::write(path, page)?;
+    }
     context.print(&summary, || text(&summary))?;
     if found.damaged > 0 {
-        context.say(&format!("{} damaged messages were left out", found.damaged));
+        context.say(&format!(
+            "{} damaged images or messages were left out",
+            found.damaged
+        ));
         return Ok(Outcome::DataLost);
     }
     Ok(match summary.map_failures.is_empty() {
@@ -143,9 +187,17 @@ fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
     let median_of = |value: fn(&Frame) -> Option<f64>| {
         median(localized.iter().filter_map(|f| value(f)).collect())
     };
-    let is_right = |frame: &&&Frame| {
-        frame.distance_m.is_some_and(|d| d <= RIGHT_DISTANCE_M)
-            && frame.angle_deg.is_some_and(|a| a <= RIGHT_ANGLE_DEG)
+    let within = |distance_m: f64, angle_deg: f64| {
+        let is_right = |frame: &&&Frame| {
+            frame.distance_m.is_some_and(|d| d <= distance_m)
+                && frame.angle_deg.is_some_and(|a| a <= angle_deg)
+        };
+        localized.iter().filter(is_right).count()
+    };
+    let recall = |(distance_m, angle_deg)| Recall {
+        distance_m,
+        angle_deg,
+        share: within(distance_m, angle_deg) as f64 / frames.len().max(1) as f64,
     };
     let more_than_30 = |frame: &&Frame| frame.pose.as_ref().is_some_and(|p| p.more_than_30_inliers);
     Summary {
@@ -154,7 +206,11 @@ fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
         more_than_30_inliers: frames.iter().filter(more_than_30).count(),
         right: input
             .lists_poses()
-            .then(|| localized.iter().filter(is_right).count()),
+            .then(|| within(RIGHT_DISTANCE_M, RIGHT_ANGLE_DEG)),
+        recall: match input.lists_poses() {
+            true => RECALL.map(recall).into(),
+            false => Vec::new(),
+        },
         median_distance_m: median_of(|f| f.distance_m),
         median_angle_deg: median_of(|f| f.angle_deg),
         map_failures: map.failures().to_vec(),
@@ -173,7 +229,11 @@ fn text(s: &Summary) -> String {
         if let (Some(m), Some(deg)) = (s.median_distance_m, s.median_angle_deg) {
             text += &format!("; median {:.1} mm, {deg:.2}°", m * 1e3);
         }
-        text.push('\n');
+        let recall = s.recall.iter().map(|r| {
+            let (percent, m, deg) = (100.0 * r.share, r.distance_m, r.angle_deg);
+            format!("{percent:.1} % within {m} m and {deg}°")
+        });
+        text += &format!("\n{}\n", recall.collect::<Vec<_>>().join(", "));
     }
     let share = 100.0 * s.localized as f64 / s.images.max(1) as f64;
     text += &format!(
