@@ -1,8 +1,9 @@
 //! IMU samples between two instants, summed up once so that the optimisation need not go through them again.
 //!
 //! Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry",
-//! TRO 2017. Between samples angular velocity and specific force are straight lines; each piece is integrated with its
-//! middle value and the rotation in its middle, which leaves an error of third order in the sample period.
+//! TRO 2017. Between samples angular velocity and specific force are straight lines. Along these the motion is integrated to fourth order in the
+//! sample period: rotations by the Magnus expansion, velocity and position by Gauss' rule. The noise takes the force
+//! and the rotation in the middle of each piece.
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
@@ -107,17 +108,27 @@ pub struct BiasJacobians<const N: usize> {
     pub position_by_accel: Matrix3xN<N>,
 }
 
-/// One piece of constant angular velocity and specific force, as the derivatives of the changes need it.
+/// One piece between two samples, as the derivatives of the changes need it.
 struct Piece {
     secs: f64,
-    /// Tangent of the piece's rotation by the angular velocity, and that of its first half.
+    /// Tangent of the piece's rotation by the angular velocity.
     turn_by_rate: Matrix3<f64>,
-    half_by_rate: Matrix3<f64>,
-    /// The piece's rotation, and that of its first half, both backwards.
+    /// The piece's rotation backwards.
     turned: Matrix3<f64>,
-    turned_half: Matrix3<f64>,
-    /// Rotation from the start to the piece's middle, and what a turn there does to the force.
-    middle: Matrix3<f64>,
+    /// Where its forces are summed up.
+    places: [Place; 3],
+}
+
+/// One of Gauss' points on a piece.
+struct Place {
+    /// For how long its force counts, and from then on to the end of the piece, seconds.
+    secs: f64,
+    left_secs: f64,
+    /// Tangent of the rotation since the piece's begin by the angular velocity, and that rotation backwards.
+    turn_by_rate: Matrix3<f64>,
+    turned: Matrix3<f64>,
+    /// Rotation from the start, and what a turn there does to the force.
+    rotation: Matrix3<f64>,
     force_by_rotation: Matrix3<f64>,
 }
 
@@ -134,15 +145,17 @@ impl<const N: usize> BiasJacobians<N> {
 
     /// Goes on by a piece. `taken` says how much of angular velocity and force one unit of each parameter takes away.
     fn advance(&mut self, piece: &Piece, [from_rate, from_force]: [&Matrix3xN<N>; 2]) {
-        let dt = piece.secs;
-        let half_by_gyro = piece.half_by_rate * from_rate;
-        let force_by_gyro =
-            piece.force_by_rotation * (piece.turned_half * self.rotation_by_gyro - half_by_gyro);
-        let force_by_accel = piece.middle * from_force;
-        self.position_by_gyro += self.velocity_by_gyro * dt + force_by_gyro * (0.5 * dt * dt);
-        self.position_by_accel += self.velocity_by_accel * dt - force_by_accel * (0.5 * dt * dt);
-        self.velocity_by_gyro += force_by_gyro * dt;
-        self.velocity_by_accel -= force_by_accel * dt;
+        self.position_by_gyro += self.velocity_by_gyro * piece.secs;
+        self.position_by_accel += self.velocity_by_accel * piece.secs;
+        for place in &piece.places {
+            let turned = place.turned * self.rotation_by_gyro - place.turn_by_rate * from_rate;
+            let by_gyro = place.force_by_rotation * turned * place.secs;
+            let by_accel = place.rotation * from_force * place.secs;
+            self.velocity_by_gyro += by_gyro;
+            self.velocity_by_accel -= by_accel;
+            self.position_by_gyro += by_gyro * place.left_secs;
+            self.position_by_accel -= by_accel * place.left_secs;
+        }
         self.rotation_by_gyro =
             piece.turned * self.rotation_by_gyro - piece.turn_by_rate * from_rate;
     }
@@ -184,6 +197,38 @@ pub struct CorrectedChange {
     pub velocity_m_s: Vector3<f64>,
     /// Change of position, metres.
     pub position_m: Vector3<f64>,
+}
+
+/// Places and weights of Gauss' rule with three points on a piece of length one.
+const GAUSS: [(f64, f64); 3] = [
+    (0.112_701_665_379_258_3, 5.0 / 18.0),
+    (0.5, 8.0 / 18.0),
+    (0.887_298_334_620_741_7, 5.0 / 18.0),
+];
+
+/// An angular velocity on a straight line.
+struct Turning {
+    rate: Vector3<f64>,
+    slope: Vector3<f64>,
+    /// Axes that turn themselves: `ω × ω'` / 12.
+    coning: Vector3<f64>,
+}
+
+impl Turning {
+    /// From its values at both ends of a piece.
+    fn of([first, last]: [Vector3<f64>; 2], secs: f64) -> Self {
+        let slope = (last - first) / secs;
+        Self {
+            rate: first,
+            slope,
+            coning: first.cross(&slope) / 12.0,
+        }
+    }
+
+    /// Logarithm of the rotation up to a time after its begin: the first two terms of the Magnus expansion, an error of fifth order.
+    fn until(&self, secs: f64) -> Vector3<f64> {
+        (self.rate + self.slope * (0.5 * secs) + self.coning * (secs * secs)) * secs
+    }
 }
 
 /// A sample as vectors.
@@ -275,7 +320,7 @@ impl PreintegratedImu {
                 let b = pair[0].towards(&pair[1], to);
                 sum.advance(
                     to.secs_since(from),
-                    &((a.gyro + b.gyro) * 0.5),
+                    [&a.gyro, &b.gyro],
                     [&a.accel, &b.accel],
                     noise,
                 );
@@ -284,17 +329,18 @@ impl PreintegratedImu {
         Ok(sum)
     }
 
-    /// Adds one piece of constant angular velocity, and specific force at its ends. Eq. (35)–(43), (A.9) with the middle rotation.
+    /// Adds one piece, by angular velocity and specific force at its ends. Eq. (35)–(43), (A.9) with the middle rotation.
     fn advance(
         &mut self,
         dt: f64,
-        gyro: &Vector3<f64>,
+        gyro: [&Vector3<f64>; 2],
         accel: [&Vector3<f64>; 2],
         noise: &ImuNoiseModel,
     ) {
-        let rate = gyro - self.bias.gyro_rad_s;
-        let angle = rate * dt;
-        let half = angle * 0.5;
+        let rate = (gyro[0] + gyro[1]) * 0.5 - self.bias.gyro_rad_s;
+        let turning = Turning::of(gyro.map(|read| read - self.bias.gyro_rad_s), dt);
+        let angle = turning.until(dt);
+        let half = turning.until(0.5 * dt);
         let force = (accel[0] + accel[1]) * 0.5 - self.bias.accel_m_s2;
         let turn = so3::exp(&angle).to_rotation_matrix().into_inner();
         let half_turn = so3::exp(&half);
@@ -306,14 +352,31 @@ impl PreintegratedImu {
         let turn_by_rate = so3::right_jacobian(&angle) * dt;
         let half_by_rate = so3::right_jacobian(&half) * (0.5 * dt);
 
+        let mut changes = [Vector3::zeros(); 2];
+        let places = GAUSS.map(|(share, weight)| {
+            let (after_secs, left_secs) = (share * dt, (1.0 - share) * dt);
+            let angle = turning.until(after_secs);
+            let rotation = (self.rotation * so3::exp(&angle))
+                .to_rotation_matrix()
+                .into_inner();
+            let force = accel[0] + (accel[1] - accel[0]) * share - self.bias.accel_m_s2;
+            let velocity = rotation * force * (weight * dt);
+            changes[0] += velocity;
+            changes[1] += velocity * left_secs;
+            Place {
+                secs: weight * dt,
+                left_secs,
+                turn_by_rate: so3::right_jacobian(&angle) * after_secs,
+                turned: so3::exp(&-angle).to_rotation_matrix().into_inner(),
+                rotation,
+                force_by_rotation: -rotation * so3::hat(&force),
+            }
+        });
         let piece = Piece {
             secs: dt,
             turn_by_rate,
-            half_by_rate,
             turned: turn.transpose(),
-            turned_half,
-            middle,
-            force_by_rotation,
+            places,
         };
         let ones = Matrix3::identity();
         self.by_bias.advance(&piece, [&ones, &ones]);
@@ -357,8 +420,8 @@ impl PreintegratedImu {
         self.covariance =
             transition * self.covariance * transition.transpose() + by_noise * by_noise.transpose();
 
-        self.position_m += self.velocity_m_s * dt + middle * force * (0.5 * dt * dt);
-        self.velocity_m_s += middle * force * dt;
+        self.position_m += self.velocity_m_s * dt + changes[1];
+        self.velocity_m_s += changes[0];
         self.rotation *= so3::exp(&angle);
         self.rotation.renormalize_fast();
         self.duration_secs += dt;

@@ -91,6 +91,88 @@ fn a_known_motion_is_predicted_also_between_samples() {
     }
 }
 
+/// Shaken and turned about all axes, of which samples at 200 Hz are taken.
+fn shaken(bias: &ImuBias) -> Vec<Stamped<ImuSample>> {
+    (0..=220)
+        .map(|k| {
+            let t = k as f64 * 0.005;
+            let gyro = Vector3::new(
+                2.0 * (19.0 * t).sin(),
+                1.0 + 1.5 * (13.0 * t).cos(),
+                2.5 * (7.0 * t + 1.0).sin(),
+            );
+            let accel = Vector3::new(
+                4.0 * (23.0 * t).sin(),
+                3.0 * (31.0 * t + 2.0).cos(),
+                9.8 + 5.0 * (11.0 * t).sin(),
+            );
+            let nanos = k * 5_000_000;
+            sample(nanos, gyro + bias.gyro_rad_s, accel + bias.accel_m_s2)
+        })
+        .collect()
+}
+
+/// Rotation, velocity and position by steps of a microsecond along the straight lines between samples, between instants in microseconds.
+fn integrated_at_one_megahertz(
+    samples: &[Stamped<ImuSample>],
+    micros: std::ops::Range<i64>,
+    bias: &ImuBias,
+) -> CorrectedChange {
+    let secs = 1e-6;
+    let (mut velocity, mut position) = (Vector3::zeros(), Vector3::zeros());
+    let mut rotation = UnitQuaternion::identity();
+    for k in micros {
+        // The middle of the step.
+        let nanos = k * 1000 + 500;
+        let after = samples.partition_point(|s| s.time.nanos() <= nanos);
+        let (a, b) = (
+            Reading::of(&samples[after - 1]),
+            Reading::of(&samples[after]),
+        );
+        let read = a.towards(&b, Timestamp::from_nanos(nanos));
+        let (rate, force) = (read.gyro - bias.gyro_rad_s, read.accel - bias.accel_m_s2);
+        let middle = rotation * so3::exp(&(rate * (0.5 * secs)));
+        let gained = middle * force * secs;
+        position += velocity * secs + gained * (0.5 * secs);
+        velocity += gained;
+        rotation *= so3::exp(&(rate * secs));
+        rotation.renormalize();
+    }
+    CorrectedChange {
+        rotation,
+        rotation_correction: Vector3::zeros(),
+        velocity_m_s: velocity,
+        position_m: position,
+    }
+}
+
+#[test]
+fn preintegration_is_a_numeric_integration_at_one_megahertz_to_1e_8() {
+    let bias = some_bias();
+    let samples = shaken(&bias);
+    for micros in [0..1_000_000, 12_300..517_701] {
+        let [start, end] = [micros.start, micros.end].map(|t| Timestamp::from_nanos(t * 1000));
+        let sum = PreintegratedImu::integrate(&samples, start, end, bias, &NOISE).expect("covered");
+        let numeric = integrated_at_one_megahertz(&samples, micros.clone(), &bias);
+        let turn = so3::log(&(numeric.rotation.inverse() * sum.rotation)).norm();
+        let velocity = (sum.velocity_m_s - numeric.velocity_m_s).norm();
+        let position = (sum.position_m - numeric.position_m).norm();
+        assert!(turn < 1e-8 && velocity < 1e-8 && position < 1e-8);
+
+        // Another bias, to first order: what is left is of second order in its difference.
+        let other = ImuBias {
+            gyro_rad_s: bias.gyro_rad_s + Vector3::new(1e-5, -2e-5, 1e-5),
+            accel_m_s2: bias.accel_m_s2 + Vector3::new(1e-4, 1e-4, -2e-4),
+        };
+        let corrected = sum.corrected(&other);
+        let numeric = integrated_at_one_megahertz(&samples, micros, &other);
+        let turn = so3::log(&(numeric.rotation.inverse() * corrected.rotation)).norm();
+        let velocity = (corrected.velocity_m_s - numeric.velocity_m_s).norm();
+        let position = (corrected.position_m - numeric.position_m).norm();
+        assert!(turn < 1e-8 && velocity < 1e-8 && position < 1e-8);
+    }
+}
+
 #[test]
 fn bias_jacobians_match_differences() {
     let samples = circle_samples(&some_bias());
