@@ -21,7 +21,7 @@ FOREIGN = ("mirrored", "another place")
 WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 %", "focal length +10 %",
                 "focal length +25 %", "focal length +100 %")
 # What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
-FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.5, 3.0
+FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
 DECADES_TOGETHER = {"sift": 0.04}
 DECADES_TOGETHER_LEARNED = 0.15
 

@@ -11,7 +11,7 @@ use nalgebra::{SMatrix, SVector};
 use super::covariance::{Clustered, cells};
 use super::matches::{MountedCamera, PointMatch, PosedMatches};
 use super::ransac::{RansacConfig, estimate_pose};
-use super::refinement::{Huber, WeightedMatches, refine_pose, reproject};
+use super::refinement::{Huber, WeightedMatches, reproject};
 
 /// Pose of the rig and natural logarithm of the factor of the focal lengths.
 type Unknowns = (Se3, SVector<f64, 1>);
@@ -87,30 +87,6 @@ pub(super) fn fit_focal_length(
         log_sigma: covariance[(6, 6)].sqrt(),
         world_from_rig: value.0,
     })
-}
-
-/// Poses that fit the matches with the focal lengths as they are given, looked for as [`other_focal_lengths`] are: what these are held
-/// against must be as good as can be.
-pub(super) fn as_given(
-    cameras: &[MountedCamera],
-    matches: &[PointMatch],
-    start: &Se3,
-    config: &RansacConfig,
-) -> Vec<Se3> {
-    let anew = estimate_pose(cameras, matches, config).map(|found| found.world_from_rig);
-    let starts = [Some(*start), anew].into_iter().flatten();
-    let fitted = starts.filter_map(|start| {
-        let mut value: Unknowns = (start, SVector::zeros());
-        for _ in 0..ROUNDS {
-            let near = matches
-                .iter()
-                .filter(|m| error_px(cameras, m, &value) <= config.max_error_px);
-            let agreeing: Vec<PointMatch> = near.copied().collect();
-            value.0 = refine_pose(cameras, &agreeing, &value.0, &config.refinement)?.world_from_rig;
-        }
-        Some(value.0)
-    });
-    fitted.collect()
 }
 
 /// Factors with which poses are looked for anew: from near 1 the fit would not arrive at them.

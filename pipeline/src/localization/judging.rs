@@ -1,7 +1,7 @@
 //! The best pose of a query judged: what speaks for it, and how far it may be off.
 
 use super::acceptance::{Agreement, Evidence, decades_together, image_spread};
-use super::focal_length::{FocalFit, as_given, fit_focal_length, other_focal_lengths};
+use super::focal_length::{FocalFit, fit_focal_length, other_focal_lengths};
 use super::guided_matching::Query;
 use super::localizer::{Found, Hypothesis, Localizer};
 use super::matches::{PointMatch, PosedMatches};
@@ -110,20 +110,13 @@ impl Localizer {
         let false_alarms = |fit: &FocalFit| {
             let (cameras, pose) = (fit.cameras(query.cameras), &fit.world_from_rig);
             let agreement = first.agreement(&cameras, pose, ransac.max_error_px);
-            agreement.log10_false_alarms_with_focal(found.places)
+            agreement.log10_false_alarms(found.places)
         };
         let fits = near.into_iter().chain(others);
         let best = fits
             .map(|fit| (false_alarms(&fit), fit))
             .min_by(|(a, _), (b, _)| a.total_cmp(b));
-        let start = &hypothesis.pose.world_from_rig;
-        let given = as_given(query.cameras, first.matches(), start, ransac);
-        let given = given.iter().map(|pose| {
-            let agreement = first.agreement(query.cameras, pose, ransac.max_error_px);
-            agreement.log10_false_alarms(found.places)
-        });
-        let as_found = hypothesis.agreement.log10_false_alarms(found.places);
-        let as_given = given.fold(as_found, f64::min);
+        let as_given = hypothesis.agreement.log10_false_alarms(found.places);
         best.map_or(
             FocalEvidence {
                 scale: 1.0,
@@ -132,8 +125,7 @@ impl Localizer {
             },
             |(false_alarms, fit)| FocalEvidence {
                 scale: fit.log_scale.exp(),
-                // Where the map's own images fit other focal lengths, a query does.
-                log_sigma: fit.log_sigma.hypot(self.map_error.log_focal),
+                log_sigma: fit.log_sigma,
                 decades: as_given - false_alarms,
             },
         )

@@ -51,7 +51,7 @@ impl Localizer {
         Ok(Self {
             map: map.clone(),
             places: Places::new(map),
-            map_error: MapError::of(map, &config.ransac),
+            map_error: MapError::of(map, &config.ransac.refinement),
             config: config.clone(),
         })
     }

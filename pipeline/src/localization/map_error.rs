@@ -14,10 +14,8 @@ use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector2, Vector3, Vector6};
 use lsfb_types::quantile;
 use rayon::prelude::*;
 
-use super::focal_length::fit_focal_length;
 use super::matches::{MountedCamera, PointMatch};
-use super::ransac::RansacConfig;
-use super::refinement::refine_pose;
+use super::refinement::{RefinementConfig, refine_pose};
 use crate::hd_map::{HdMap, MapObservation};
 
 /// Standard deviations of the map's poses along each axis.
@@ -25,8 +23,6 @@ use crate::hd_map::{HdMap, MapObservation};
 pub(super) struct MapError {
     pub rotation_rad: f64,
     pub translation_m: f64,
-    /// And of the natural logarithm of the focal lengths that its points show.
-    pub log_focal: f64,
 }
 
 /// Images that are looked at, at most, and points that each must have.
@@ -44,20 +40,16 @@ const UNSEEN_OF_FOUND_CAMERAS: f64 = 1.5;
 /// as it is, and so many that all of the map is worse in places do not.
 const QUANTILE: f64 = 0.9;
 const QUANTILE_PER_SIGMA: f64 = 2.500_278;
-/// The same of one normal deviate.
-const QUANTILE_PER_SIGMA_OF_ONE: f64 = 1.644_854;
 
 /// How far an image is by other images' points from its given pose.
 struct Offset {
     rotation_rad: f64,
     translation_m: f64,
-    /// Beyond what the noise of its matches explains.
-    log_focal: f64,
 }
 
 impl MapError {
     /// Of a map; nothing where its images have too few points in common.
-    pub fn of(map: &HdMap, config: &RansacConfig) -> Self {
+    pub fn of(map: &HdMap, config: &RefinementConfig) -> Self {
         let mut images: BTreeMap<(u32, u16), Vec<MapObservation>> = BTreeMap::new();
         for observation in (0..map.point_count() as u32).flat_map(|p| map.observations(p)) {
             let image = (observation.keyframe, observation.camera);
@@ -80,14 +72,13 @@ impl MapError {
             true => UNSEEN,
             false => UNSEEN_OF_FOUND_CAMERAS,
         };
-        let sigma = |length: fn(&Offset) -> f64, per_sigma: f64| {
+        let sigma = |length: fn(&Offset) -> f64| {
             let lengths = offsets.iter().map(length).collect();
-            unseen.sqrt() * quantile(lengths, QUANTILE).unwrap_or(0.0) / per_sigma
+            unseen.sqrt() * quantile(lengths, QUANTILE).unwrap_or(0.0) / QUANTILE_PER_SIGMA
         };
         Self {
-            rotation_rad: sigma(|o| o.rotation_rad, QUANTILE_PER_SIGMA),
-            translation_m: sigma(|o| o.translation_m, QUANTILE_PER_SIGMA),
-            log_focal: sigma(|o| o.log_focal, QUANTILE_PER_SIGMA_OF_ONE),
+            rotation_rad: sigma(|o| o.rotation_rad),
+            translation_m: sigma(|o| o.translation_m),
         }
     }
 
@@ -103,7 +94,7 @@ fn offset(
     map: &HdMap,
     image: &[MapObservation],
     fewest_others: usize,
-    config: &RansacConfig,
+    config: &RefinementConfig,
 ) -> Option<Offset> {
     let (world_from_camera, mut mounted) = camera_of(map, image.first()?)?;
     mounted.rig_from_camera = Se3::identity();
@@ -124,15 +115,11 @@ fn offset(
         return None;
     }
     let cameras = [mounted];
-    let refined = refine_pose(&cameras, &matches, &world_from_camera, &config.refinement)?;
-    let start = (&refined.world_from_rig, 1.0);
-    let focal = fit_focal_length(&cameras, &matches, start, config);
-    let log_focal = focal.map_or(0.0, |f| f.log_scale.powi(2) - f.log_sigma.powi(2));
+    let refined = refine_pose(&cameras, &matches, &world_from_camera, config)?;
     let off = (world_from_camera.inverse() * refined.world_from_rig).log();
     Some(Offset {
         rotation_rad: off.fixed_rows::<3>(0).norm(),
         translation_m: off.fixed_rows::<3>(3).norm(),
-        log_focal: log_focal.max(0.0).sqrt(),
     })
 }
 

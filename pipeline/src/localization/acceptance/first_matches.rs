@@ -113,9 +113,8 @@ pub(in crate::localization) struct Agreement {
     pub chance_level: f64,
 }
 
-/// Matches that determine a pose, and one with focal lengths.
+/// Matches that determine a pose.
 const SAMPLE: usize = 3;
-const SAMPLE_WITH_FOCAL: usize = 4;
 /// Poses at most of three matches.
 const POSES_PER_SAMPLE: f64 = 4.0;
 
@@ -132,24 +131,14 @@ impl Agreement {
     /// Decimal logarithm of the expected number of poses with as many inliers, were all matches wrong and `places` places
     /// tried with each tolerance: `places · tolerances · 4 (n − 3) · C(n, k) · C(k, 3) · p^(k − 3)`.
     pub fn log10_false_alarms(&self, places: usize) -> f64 {
-        self.by_chance(places, SAMPLE)
-    }
-
-    /// The same of a pose whose focal lengths were found with it: one match more is used up for these, so that of poses as good by chance
-    /// there are more.
-    pub fn log10_false_alarms_with_focal(&self, places: usize) -> f64 {
-        self.by_chance(places, SAMPLE_WITH_FOCAL)
-    }
-
-    fn by_chance(&self, places: usize, sample: usize) -> f64 {
         let (n, k) = (self.matches, self.inliers);
-        if k <= sample || n <= sample {
-            return log10_binomial(n, sample).max(0.0);
+        if k <= SAMPLE || n <= SAMPLE {
+            return log10_binomial(n, SAMPLE).max(0.0);
         }
         let tries = places.max(1) as f64 * TOLERANCES.len() as f64;
-        let tests = tries * POSES_PER_SAMPLE * (n - sample) as f64;
-        let by_chance = (k - sample) as f64 * self.chance_level.log10();
-        tests.log10() + log10_binomial(n, k) + log10_binomial(k, sample) + by_chance
+        let tests = tries * POSES_PER_SAMPLE * (n - SAMPLE) as f64;
+        let by_chance = (k - SAMPLE) as f64 * self.chance_level.log10();
+        tests.log10() + log10_binomial(n, k) + log10_binomial(k, SAMPLE) + by_chance
     }
 }
 

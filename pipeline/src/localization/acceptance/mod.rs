@@ -52,8 +52,7 @@ pub struct Evidence {
     pub image_spread: f64,
     /// Factor of the focal lengths that fits the matches best.
     pub focal_scale: f64,
-    /// Standard deviation of its logarithm, of the matches and of the map, whose own images may fit other ones than theirs; infinite where
-    /// the matches do not tell.
+    /// Standard deviation of its logarithm; infinite where the matches do not tell.
     pub focal_log_sigma: f64,
     /// By how many decades fewer poses are expected by chance with that factor than with the focal lengths as they are given.
     pub focal_decades: f64,
@@ -111,9 +110,8 @@ pub(super) fn decades_together(feature: &Feature) -> f64 {
 
 /// Focal lengths may be off by this much, as a logarithm: what is left of calibrations, and of maps that are not quite in scale.
 const MAX_LOG_FOCAL: f64 = 0.05;
-/// Others fit better for sure where they are this many standard deviations away, and this many decades less by chance. Five searches are
-/// made, and the best counts: of these one is 3.5 standard deviations away as often as a single one is 3.
-const SURE_SIGMAS: f64 = 3.5;
+/// Others fit better for sure where they are this many standard deviations away, and this many decades less by chance.
+const SURE_SIGMAS: f64 = 3.0;
 const SURE_DECADES: f64 = 3.0;
 
 impl Evidence {
