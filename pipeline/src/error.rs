@@ -417,6 +417,22 @@ pub enum Error {
         /// How far a pose that is exported may, metres.
         limit_m: f64,
     },
+    /// Next to nothing of a walk was recognised on its own, and nothing else tells whether the map has it where it was.
+    #[error(
+        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), too few of the map's points were mapped from where the walk went to check the others by them, and with half of the map's points withheld the poses move by {moved_m:.2} m: the map is poor here; map the place again from where the walk goes, or walk where more of the map is in view", path = path.display()
+    )]
+    FewRecognised {
+        /// The recording.
+        path: PathBuf,
+        /// Images that the map was recognised in.
+        recognised: usize,
+        /// Images in reach of these.
+        frames: usize,
+        /// Least share of them.
+        needed_share: f64,
+        /// How far halves of the map move the poses in the middle, metres.
+        moved_m: f64,
+    },
     /// A least-squares problem kept moving.
     #[error(
         "{stage}: no minimum after {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"

@@ -30,6 +30,9 @@ pub struct GroundTruthConfig {
     pub min_localized_frames: usize,
     /// Least share of the localized frames that must agree with one another through the IMU.
     pub min_agreeing_share: f64,
+    /// Least share of the frames that must be recognised on their own where too little of the map was mapped from where the walk went to check the
+    /// place by what should be in view: the others are matched where they are expected, and agree with whatever is expected.
+    pub min_recognised_share: f64,
     /// How many times as many localized frames must agree as with any other explanation of the walk that contradicts it.
     pub min_rival_margin: f64,
     /// Standard deviation of a localized position beyond what its matches say, metres.
@@ -156,6 +159,7 @@ impl Default for GroundTruthConfig {
             localization: LocalizerConfig::default(),
             min_localized_frames: 5,
             min_agreeing_share: 0.3,
+            min_recognised_share: 0.2,
             min_rival_margin: 2.0,
             localization_sigma_m: 0.03,
             localization_sigma_rad: 0.01,
@@ -206,6 +210,7 @@ lsfb_types::bounds! {
         localization: section,
         min_localized_frames: number(Bounds::AtLeast(2.0)),
         min_agreeing_share: number(Bounds::Within(0.0, 1.0)),
+        min_recognised_share: number(Bounds::Within(0.0, 1.0)),
         min_rival_margin: number(Bounds::AtLeast(1.0)),
         localization_sigma_m: number(Bounds::POSITIVE),
         localization_sigma_rad: number(Bounds::POSITIVE),

@@ -137,6 +137,16 @@ pub fn ground_truth_of(
     );
     let whole = InView::of_walk(&in_view);
     let (certain, absent) = (whole.certain(), whole.absent);
+    let (recognised, in_reach) = (start.accepted_count, walk.frames.len());
+    if !whole.is_judged() && (recognised as f64) < config.min_recognised_share * in_reach as f64 {
+        return Err(Error::FewRecognised {
+            path: path.clone(),
+            recognised,
+            frames: in_reach,
+            needed_share: config.min_recognised_share,
+            moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
+        });
+    }
     if trusted.poses.is_empty() {
         let (path, frames) = (path.clone(), walk.frames.len());
         return Err(match trusted.main_reason() {

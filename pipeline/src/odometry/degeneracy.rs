@@ -29,6 +29,8 @@ pub enum MotionKind {
 
 /// A direction that one scan determines less well than this is unseen, metres: normals that lean by a few degrees look like so much.
 const UNSEEN_SIGMA_M: f64 = 0.03;
+/// The same as information.
+pub(super) const LEAST_SEEN_PER_M2: f64 = 1.0 / (UNSEEN_SIGMA_M * UNSEEN_SIGMA_M);
 /// Until one scan determines it so much better again, as a factor of information: what leans leans differently in each scan.
 const SEEN_AGAIN: f64 = 2.0;
 /// Points that tell from which places the surfaces around were first seen, at most.
@@ -65,21 +67,13 @@ impl Odometry {
             return Seen::default();
         };
         let again = if self.unseen { SEEN_AGAIN } else { 1.0 };
-        let least_per_m2 = again / (UNSEEN_SIGMA_M * UNSEEN_SIGMA_M);
+        let least_per_m2 = again * LEAST_SEEN_PER_M2;
         let is_unseen = |d: &Direction| d.seen_per_m2() < least_per_m2;
         let unseen = seen.directions.iter().filter(|d| is_unseen(d));
         let worst = unseen.min_by(|a, b| a.seen_per_m2().total_cmp(&b.seen_per_m2()));
         Seen {
             unseen: worst.map(|d| Unseen::of(d, &found.world_from_rig)),
             lasting: seen.information_of(|d| !is_unseen(d)) / self.config.correlated_scans,
-        }
-    }
-
-    /// Whether the carrier has not moved since the start, by its IMU.
-    fn stands(&self) -> bool {
-        match &self.motion {
-            Motion::Inertial(inertial) => inertial.filter.as_ref().is_some_and(|f| f.stands()),
-            Motion::Constant { .. } => false,
         }
     }
 

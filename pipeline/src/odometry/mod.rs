@@ -8,11 +8,11 @@
 mod config;
 mod degeneracy;
 mod extrinsic_check;
+mod first_second;
 mod free_space;
 mod imu_check;
 mod inertial;
 mod motion;
-mod moving_start;
 mod online;
 mod point_clock;
 mod range_check;
@@ -51,9 +51,9 @@ pub use warning::OdometryWarning;
 
 use crate::Error;
 use degeneracy::Seen;
+use first_second::FirstSecond;
 use free_space::FreeSpace;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
-use moving_start::FirstScan;
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
 use wide_search::Innovations;
 
@@ -82,6 +82,9 @@ pub struct OdometryStep {
     pub iterations: u32,
     /// Whether the scan was registered, or the prediction had to do.
     pub outcome: StepOutcome,
+    /// Where this scan told that the walk began otherwise than was thought: the steps of all scans before it anew, in place of those given
+    /// then. Empty but in the first second of a walk.
+    pub anew: Vec<OdometryStep>,
 }
 
 /// Whether a scan found its place.
@@ -117,10 +120,15 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
-    /// The first scan of a walk that begins in motion, until the second is there.
-    first_scan: Option<FirstScan>,
-    /// Scans still to come that a map drawn in motion holds badly.
-    unsteady_scans: u32,
+    /// What the walk may have to begin again from, in its first second.
+    first_second: Option<FirstSecond>,
+    /// Until then scans count little: the map is drawn by too few.
+    unsteady_until: Option<Timestamp>,
+    /// So many times more points of the scan at hand share an error.
+    shared_by: f64,
+    /// Whether it set off without its IMU feeling it, and whether that was in the first second.
+    unfelt: bool,
+    began_unfelt: bool,
 }
 
 /// A scan deskewed to its end, reduced twice.
@@ -182,8 +190,11 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             searched_in_vain: None,
-            first_scan: None,
-            unsteady_scans: 0,
+            first_second: None,
+            unsteady_until: None,
+            shared_by: 1.0,
+            unfelt: false,
+            began_unfelt: false,
         })
     }
 
@@ -208,38 +219,30 @@ impl Odometry {
         {
             inertial.samples.push(sample.clone());
         }
+        if let Some(first) = &mut self.first_second {
+            first.push_imu(sample);
+        }
     }
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
-        if let Some(first) = self.first_scan.take()
-            && let Some(begun) = first.begun_again(self, scan)
-        {
-            *self = begun;
+        match self.first_second.take() {
+            Some(first) => first.go_on(self, scan),
+            None if self.last.is_none() => FirstSecond::begin(self, scan),
+            None => self.take_scan(scan),
         }
-        let before = self.last.is_none().then(|| self.clone());
-        let mut step = self.take_scan(scan)?;
-        if let Some(before) = before.filter(|_| self.has_begun_in_motion(scan)) {
-            self.first_scan = Some(FirstScan::keep(before, scan));
-            // How it got to the end of its first scan nobody knows yet.
-            step.poses.drain(..step.poses.len().saturating_sub(1));
-        }
-        Ok(step)
     }
 
-    /// Whether the velocity is not known, and smears the scan.
-    fn has_begun_in_motion(&self, scan: &Stamped<LidarScan>) -> bool {
-        let Motion::Inertial(inertial) = &self.motion else {
-            return false;
-        };
-        let moves = inertial.filter.as_ref().is_some_and(|f| !f.stands());
-        moves && scan.sample.points.iter().any(|p| p.time_offset_ns > 0)
+    /// Whether the carrier moved at the start, and its IMU did not feel it: it rolled evenly.
+    pub fn began_unfelt(&self) -> bool {
+        self.began_unfelt
     }
 
     fn take_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
         let end = self.end_of(scan)?;
         let mut path = self.predict(scan.time, end)?;
         let mut reduced = self.reduce(scan, &path);
+        self.steady(&reduced, &path);
         let find = self.search(&reduced, &path);
         let mut found = match &find {
             Some(find) => find.registration,
@@ -275,7 +278,6 @@ impl Odometry {
             }
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
-        self.unsteady_scans = self.unsteady_scans.saturating_sub(1);
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
@@ -298,6 +300,7 @@ impl Odometry {
             plane_rms_m: found.plane_rms_m,
             iterations: found.iterations,
             outcome,
+            anew: Vec::new(),
         })
     }
 
@@ -388,9 +391,7 @@ impl Odometry {
 
     fn registration(&self, gate_m: f64) -> RegistrationConfig {
         let mut config = self.config.registration(&self.lidar, gate_m);
-        if self.unsteady_scans > 0 {
-            config.points_per_independent *= moving_start::SHARED_BY;
-        }
+        config.points_per_independent *= self.shared_by;
         config
     }
 

@@ -51,9 +51,7 @@ impl InertialMotion {
             filter.moves(known.velocity_m_s, known.sigma_m_s, end.secs_since(start));
         }
         let path = filter.predict(&self.samples, end);
-        if self.start.is_some() {
-            filter.become_origin();
-        }
+        filter.become_origin();
         self.filter = Some(Box::new(filter));
         Ok(path)
     }

@@ -34,11 +34,16 @@ struct Origin {
     covariance: Matrix6<f64>,
 }
 
+/// Scans that fill the surfaces of a place: of those that come later, who stands there for minutes, hardly a point is taken.
+const SCANS_PER_PLACE: u32 = 20;
+
 /// Follows what poses inherit from the map.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Uncertainty {
     /// By the number of the place from which surfaces were first seen; the first stands for none.
     places: Vec<Origin>,
+    /// Scans drawn from the last of them.
+    scans_here: u32,
     /// The last pose, with what it inherited from the map.
     inherited: Option<Origin>,
 }
@@ -71,15 +76,23 @@ impl Uncertainty {
         against_map + inherited
     }
 
-    /// Notes that surfaces are drawn from this pose, at the map's place of that number.
+    /// Notes that surfaces are drawn from this pose, at the map's place of that number. What is drawn from a place in several scans is taken to
+    /// be as wrong as the last of them: the first pose of a walk is exact, and those in which it stands there no longer.
     pub fn draw(&mut self, place: u32, world_from_rig: &Se3, covariance: &Matrix6<f64>) {
         let origin = Origin {
             world_from_rig: *world_from_rig,
             covariance: *covariance,
         };
-        while self.places.len() <= place as usize {
-            self.places.push(origin);
+        if self.places.len() <= place as usize {
+            self.places.resize(place as usize + 1, origin);
+            self.scans_here = 0;
         }
+        if self.scans_here < SCANS_PER_PLACE
+            && let Some(last) = self.places.get_mut(place as usize)
+        {
+            *last = origin;
+        }
+        self.scans_here += 1;
     }
 
     fn of_map(&self, world_from_rig: &Se3, first_seen_from: &[u32]) -> Option<Matrix6<f64>> {

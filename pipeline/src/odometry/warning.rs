@@ -88,6 +88,8 @@ pub enum OdometryWarning {
         /// Mean share of a scan that does.
         share: f64,
     },
+    /// The carrier moved at the start, and its IMU felt nothing.
+    BeganUnfelt,
     /// Scans have hardly a point where points are used.
     OutOfRange {
         /// How many of how many, where they are instead, and why that may be.
@@ -172,6 +174,11 @@ impl OdometryWarning {
                     "only {:.0} % of a scan agrees with the map on average, where IMU and scans that fit each other have 80 % and more: poses may be metres off; is an axis or the sign of the IMU wrong (at rest it feels 9.81 m/s² upwards), or the LiDAR's rotation on it? Run without the IMU to see",
                     share * 100.0
                 ),
+            ),
+            Self::BeganUnfelt => (
+                "began-unfelt",
+                "at the start the carrier moved by its scans, and its IMU did not feel it, as of one that rolls evenly: the first second may be decimetres off, and all behind it with it; stand still for a second at the start, or begin in full stride"
+                    .to_owned(),
             ),
             Self::OutOfRange { what } => ("out-of-range", what.clone()),
             Self::NoImu { deskewed } => {

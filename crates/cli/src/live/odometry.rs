@@ -48,10 +48,14 @@ impl CloudPoses {
             stamp = self.stamps.pop_front();
         }
         let is_registered = step.outcome != StepOutcome::Lost;
-        let end = StampedPose {
+        let end_of = |step: &OdometryStep| StampedPose {
             time: step.time,
             world_from_rig: step.world_from_rig,
         };
+        let end = end_of(step);
+        if let Some(before) = step.anew.last() {
+            self.last = (before.outcome != StepOutcome::Lost).then(|| end_of(before));
+        }
         let before = std::mem::replace(&mut self.last, is_registered.then_some(end));
         let poses = before.into_iter().chain(step.poses.iter().copied());
         let time = stamp.filter(|_| is_registered)?;
@@ -180,6 +184,7 @@ mod tests {
             plane_rms_m: 0.0,
             iterations: 1,
             outcome,
+            anew: Vec::new(),
         }
     }
 

@@ -6,6 +6,7 @@
 //! error in the tangent of SE(3).
 
 mod reading;
+mod standing;
 mod start;
 
 #[cfg(test)]
@@ -18,7 +19,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::uncertainty::once_seen;
 use reading::{Reading, reading_at};
-use start::Standing;
+use standing::{STANDING_SPAN_S, Standing};
 
 type Matrix18 = SMatrix<f64, 18, 18>;
 
@@ -54,6 +55,17 @@ pub struct InertialState {
     pub gravity_m_s2: Vector3<f64>,
 }
 
+impl InertialState {
+    fn add(&mut self, delta: &SVector<f64, 18>) {
+        let of_pose: Vector6<f64> = delta.fixed_rows::<6>(0).into();
+        self.world_from_rig = self.world_from_rig.retract(&of_pose);
+        self.velocity_m_s += delta.fixed_rows::<3>(VELOCITY);
+        self.gyro_bias_rad_s += delta.fixed_rows::<3>(GYRO_BIAS);
+        self.accel_bias_m_s2 += delta.fixed_rows::<3>(ACCEL_BIAS);
+        self.gravity_m_s2 += delta.fixed_rows::<3>(GRAVITY);
+    }
+}
+
 /// The filter.
 #[derive(Clone, Debug)]
 pub struct InertialFilter {
@@ -79,28 +91,27 @@ impl InertialFilter {
         self.time
     }
 
-    /// Whether it has not moved since the start, as far as an IMU can tell.
-    pub fn stands(&self) -> bool {
-        self.standing.is_some()
-    }
-
     /// Moves the estimate to `end` with the samples around that span; returns the poses on the way, both ends included.
     pub fn predict(&mut self, samples: &[Stamped<ImuSample>], end: Timestamp) -> Vec<StampedPose> {
         let mut knots = vec![self.knot()];
-        let first = samples.partition_point(|s| s.time <= self.time);
-        let last = samples.partition_point(|s| s.time < end).max(first);
-        let inside = &samples[first..last];
-        self.standing = self
-            .standing
-            .filter(|standing| inside.is_empty() || standing.goes_on(inside));
         let Some(mut from) = reading_at(samples, self.time) else {
             return knots;
         };
-        let inside = inside.iter().map(Reading::from);
-        for to in inside.chain(reading_at(samples, end)) {
-            self.integrate(&from, &to);
-            knots.push(self.knot());
-            from = to;
+        while self.time < end {
+            let until = match self.standing {
+                Some(_) => end.min(self.time.plus_secs(STANDING_SPAN_S)),
+                None => end,
+            };
+            let first = samples.partition_point(|s| s.time <= self.time);
+            let last = samples.partition_point(|s| s.time < until).max(first);
+            let inside = &samples[first..last];
+            self.rest(inside);
+            let inside = inside.iter().map(Reading::from);
+            for to in inside.chain(reading_at(samples, until)) {
+                self.integrate(&from, &to);
+                knots.push(self.knot());
+                from = to;
+            }
         }
         knots
     }
@@ -228,12 +239,8 @@ impl InertialFilter {
         let deviation: Vector6<f64> = self.state.world_from_rig.local(world_from_rig);
         let all_by_pose = p.fixed_view::<18, 6>(0, 0) * prior_cholesky.inverse();
         let delta = all_by_pose * deviation;
-        let s = &mut self.state;
-        s.world_from_rig = *world_from_rig;
-        s.velocity_m_s += delta.fixed_rows::<3>(VELOCITY);
-        s.gyro_bias_rad_s += delta.fixed_rows::<3>(GYRO_BIAS);
-        s.accel_bias_m_s2 += delta.fixed_rows::<3>(ACCEL_BIAS);
-        s.gravity_m_s2 += delta.fixed_rows::<3>(GRAVITY);
+        self.state.add(&delta);
+        self.state.world_from_rig = *world_from_rig;
         if let Some(seen) = once_seen(p, information) {
             self.covariance = seen;
         }

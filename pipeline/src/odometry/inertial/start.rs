@@ -4,35 +4,18 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SVector;
 
-use super::reading::Reading;
+use super::standing::{STANDING_GYRO_RAD_S, STANDING_VELOCITY_M_S, Standing};
 use super::{
     ACCEL_BIAS, GRAVITY, GRAVITY_M_S2, GYRO_BIAS, InertialFilter, InertialState, Matrix18, VELOCITY,
 };
 
-/// Means over a scan that differ from those at the start by more than this are the first step, rad/s and m/s².
-const STANDING_RATE_RAD_S: f64 = 0.03;
-const STANDING_FORCE_M_S2: f64 = 0.2;
-
 /// Of a pose that defines the world, radians and metres.
 const EXACT: f64 = 1e-5;
-
-/// Mean angular velocity and specific force of a carrier that stands.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Standing {
-    angular_velocity: Vector3<f64>,
-    specific_force: Vector3<f64>,
-}
-
-impl Standing {
-    /// Whether the mean over samples is still the same.
-    pub fn goes_on(&self, samples: &[Stamped<ImuSample>]) -> bool {
-        let n = samples.len().max(1) as f64;
-        let turns = samples.iter().map(|s| Reading::from(s).angular_velocity);
-        let forces = samples.iter().map(|s| Reading::from(s).specific_force);
-        (turns.sum::<Vector3<f64>>() / n - self.angular_velocity).norm() < STANDING_RATE_RAD_S
-            && (forces.sum::<Vector3<f64>>() / n - self.specific_force).norm() < STANDING_FORCE_M_S2
-    }
-}
+/// How well the length of gravity is known, m/s².
+const GRAVITY_LENGTH_M_S2: f64 = 0.01;
+/// What a carrier that feels as if it stood may turn, rad/s, and gather in speed, m/s², while it does not stand.
+const QUIET_RAD_S: f64 = 0.01;
+const QUIET_M_S2: f64 = 0.3;
 
 impl InertialFilter {
     /// Starts at the world's origin at `time`, level by the mean specific force of `samples`, heading along x.
@@ -79,12 +62,14 @@ impl InertialFilter {
         // The start defines the world, so its pose is exact; what is uncertain is where gravity points in it.
         set(0, EXACT);
         set(3, EXACT);
-        set(VELOCITY, if stands { 0.05 } else { 2.0 });
-        set(GYRO_BIAS, if stands { 0.003 } else { 0.02 });
+        let of_velocity = if stands { STANDING_VELOCITY_M_S } else { 2.0 };
+        let of_gyro = if stands { STANDING_GYRO_RAD_S } else { 0.02 };
+        set(VELOCITY, of_velocity);
+        set(GYRO_BIAS, of_gyro);
         set(ACCEL_BIAS, 0.1);
         set(GRAVITY, if stands { 0.1 } else { 1.0 });
         // The length of gravity is known.
-        variance[GRAVITY + 2] = 0.01f64.powi(2);
+        variance[GRAVITY + 2] = GRAVITY_LENGTH_M_S2 * GRAVITY_LENGTH_M_S2;
         Some(Self {
             state: InertialState {
                 world_from_rig: Se3::new(heading * rotation, Vector3::zeros()),
@@ -108,10 +93,19 @@ impl InertialFilter {
     pub fn moves(&mut self, velocity_m_s: Vector3<f64>, sigma_m_s: f64, secs: f64) {
         self.state.velocity_m_s = velocity_m_s;
         self.state.world_from_rig.translation -= velocity_m_s * secs;
-        let variance = Matrix3::identity() * (sigma_m_s * sigma_m_s);
+        let mut known: Vec<(usize, f64)> = vec![(VELOCITY, sigma_m_s)];
+        if self.standing.take().is_some() {
+            // Taken for standing by what it felt: so little it turns and gathers speed at least.
+            known.extend([(GYRO_BIAS, QUIET_RAD_S), (GRAVITY, QUIET_M_S2)]);
+        }
         for covariance in [&mut self.covariance, &mut self.reported] {
-            let mut block = covariance.fixed_view_mut::<3, 3>(VELOCITY, VELOCITY);
-            block.copy_from(&variance);
+            for (at, sigma) in &known {
+                let variance = Matrix3::identity() * (sigma * sigma);
+                let mut block = covariance.fixed_view_mut::<3, 3>(*at, *at);
+                block.copy_from(&variance);
+            }
+            // The length of gravity is known.
+            covariance[(GRAVITY + 2, GRAVITY + 2)] = GRAVITY_LENGTH_M_S2 * GRAVITY_LENGTH_M_S2;
         }
     }
 

@@ -27,7 +27,7 @@ pub(super) struct Found {
 impl Found {
     pub fn take(&mut self, step: Result<OdometryStep, Error>) -> Result<(), Error> {
         self.report.scans += 1;
-        let step = match step {
+        let mut step = match step {
             Ok(step) => step,
             Err(Error::EmptyScan { .. } | Error::ScanOrder { .. } | Error::ImuMissing { .. }) => {
                 self.report.skipped += 1;
@@ -35,10 +35,33 @@ impl Found {
             }
             Err(other) => return Err(other),
         };
+        let anew = std::mem::take(&mut step.anew);
+        if !anew.is_empty() {
+            self.forget_steps();
+        }
+        for step in anew.into_iter().chain([step]) {
+            self.take_step(step);
+        }
+        Ok(())
+    }
+
+    /// Leaves what was read, and forgets what was made of it.
+    fn forget_steps(&mut self) {
+        let report = std::mem::take(&mut self.report);
+        *self = Self::default();
+        self.report = OdometryReport {
+            registered: 0,
+            lost: 0,
+            lost_at_end: 0,
+            ..report
+        };
+    }
+
+    fn take_step(&mut self, step: OdometryStep) {
         if step.outcome == StepOutcome::Lost {
             self.report.lost += 1;
             self.report.lost_at_end += 1;
-            return Ok(());
+            return;
         }
         self.report.registered += 1;
         self.unseen.take(&step);
@@ -73,7 +96,6 @@ impl Found {
             0
         };
         self.poses.extend(step.poses.into_iter().skip(known));
-        Ok(())
     }
 
     pub fn finish(self, state: Option<&InertialState>, lidar: &RigLidar) -> OdometryResult {
@@ -156,6 +178,7 @@ mod tests {
             plane_rms_m: 0.01,
             iterations: 4,
             outcome,
+            anew: Vec::new(),
         })
     }
 

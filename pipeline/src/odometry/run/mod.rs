@@ -218,6 +218,9 @@ impl OdometryRun {
         }
         let little = result.report.little_agreement();
         result.report.warnings.extend(little);
+        if self.odometry.began_unfelt() {
+            result.report.warnings.push(OdometryWarning::BeganUnfelt);
+        }
         if let Some(ranges) = self.ranges.finish() {
             let what = ranges.sentence(&self.config);
             result

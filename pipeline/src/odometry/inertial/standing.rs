@@ -1,0 +1,100 @@
+//! A carrier that stands at the start: its velocity is none, and its gyroscope shows its bias. Without that a map of one scan draws it about by
+//! its own noise.
+
+use lsfb_geometry::{Matrix6, Vector3, Vector6};
+use lsfb_types::{ImuSample, Stamped};
+use nalgebra::SMatrix;
+
+use super::reading::Reading;
+use super::{InertialFilter, Matrix18, VELOCITY};
+
+/// Means over this long tell whether it still stands, seconds.
+pub(super) const STANDING_SPAN_S: f64 = 0.1;
+/// Means that differ from those at the start by more than this are the first step, rad/s and m/s².
+const STANDING_RATE_RAD_S: f64 = 0.03;
+const STANDING_FORCE_M_S2: f64 = 0.2;
+/// Nearer to the start than this, nothing has begun yet: what grows to the first step is no bias.
+const QUIET_RATE_RAD_S: f64 = 0.015;
+const QUIET_FORCE_M_S2: f64 = 0.08;
+/// Who stands sways by so much, m/s, and turns by so much, rad/s.
+pub(super) const STANDING_VELOCITY_M_S: f64 = 0.01;
+pub(super) const STANDING_GYRO_RAD_S: f64 = 0.003;
+/// Of the velocity of a carrier that was taken for standing and was not, m/s.
+const UNFELT_VELOCITY_M_S: f64 = 0.3;
+
+/// Mean angular velocity and specific force of a carrier that stands.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Standing {
+    pub angular_velocity: Vector3<f64>,
+    pub specific_force: Vector3<f64>,
+}
+
+impl Standing {
+    /// Whether means over samples are still the same.
+    fn goes_on(&self, (angular_velocity, specific_force): (Vector3<f64>, Vector3<f64>)) -> bool {
+        (angular_velocity - self.angular_velocity).norm() < STANDING_RATE_RAD_S
+            && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
+    }
+}
+
+impl InertialFilter {
+    /// Whether it has not moved since the start, as far as an IMU can tell.
+    pub fn stands(&self) -> bool {
+        self.standing.is_some()
+    }
+
+    /// Takes it that it no longer stands, though it feels nothing.
+    pub fn stands_no_more(&mut self) {
+        if self.standing.take().is_some() {
+            let variance = UNFELT_VELOCITY_M_S * UNFELT_VELOCITY_M_S;
+            for covariance in [&mut self.covariance, &mut self.reported] {
+                for k in VELOCITY..VELOCITY + 3 {
+                    covariance[(k, k)] += variance;
+                }
+            }
+        }
+    }
+
+    /// Takes in that it stands, where the samples ahead feel like it.
+    pub(super) fn rest(&mut self, samples: &[Stamped<ImuSample>]) {
+        let Some(standing) = self.standing.filter(|_| !samples.is_empty()) else {
+            return;
+        };
+        let n = samples.len() as f64;
+        let readings = || samples.iter().map(Reading::from);
+        let turn = readings().map(|r| r.angular_velocity).sum::<Vector3<f64>>() / n;
+        let force = readings().map(|r| r.specific_force).sum::<Vector3<f64>>() / n;
+        if !standing.goes_on((turn, force)) {
+            self.standing = None;
+            return;
+        }
+        let bias_off = turn - self.state.gyro_bias_rad_s;
+        if bias_off.norm() > QUIET_RATE_RAD_S
+            || (force - standing.specific_force).norm() > QUIET_FORCE_M_S2
+        {
+            return;
+        }
+        let mut off = Vector6::zeros();
+        let velocity_off = -self.state.velocity_m_s;
+        off.fixed_rows_mut::<3>(0).copy_from(&velocity_off);
+        off.fixed_rows_mut::<3>(3).copy_from(&bias_off);
+        if let Some((delta, covariance)) = measured(&self.covariance, &off) {
+            self.covariance = covariance;
+            self.state.add(&delta);
+        }
+        if let Some((_, covariance)) = measured(&self.reported, &off) {
+            self.reported = covariance;
+        }
+    }
+}
+
+/// What measured velocity and gyroscope bias, `off` from those estimated, change of the state, and its covariance then.
+fn measured(covariance: &Matrix18, off: &Vector6<f64>) -> Option<(SMatrix<f64, 18, 1>, Matrix18)> {
+    let (v, w) = (STANDING_VELOCITY_M_S.powi(2), STANDING_GYRO_RAD_S.powi(2));
+    let noise = Matrix6::from_diagonal(&Vector6::new(v, v, v, w, w, w));
+    let all = covariance.fixed_columns::<6>(VELOCITY);
+    let measured: Matrix6<f64> = covariance.fixed_view::<6, 6>(VELOCITY, VELOCITY).into();
+    let gain = all * (measured + noise).cholesky()?.inverse();
+    let after = covariance - gain * all.transpose();
+    Some((gain * off, (after + after.transpose()) * 0.5))
+}
