@@ -3,7 +3,7 @@
 mod answer;
 mod process;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use answer::json;
 use lsfb_tests::recordings;
@@ -46,6 +46,9 @@ fn walks_of_a_mall_are_placed_by_their_wifi_as_a_script_has_it() {
         // Between waypoints ten seconds apart a place is known to some metres.
         let sigma_m = placed["sigma_rms_m"].as_f64().expect("σ");
         assert!((0.5..4.0).contains(&sigma_m), "{placed}");
+        if i == 0 {
+            places_in_centimetres_are_refused(root, &walk);
+        }
         std::fs::remove_file(root.join(walk)).expect("removed");
         tables.push(table);
     }
@@ -80,4 +83,24 @@ fn walks_of_a_mall_are_placed_by_their_wifi_as_a_script_has_it() {
     let twice = lsfb(root, &["bench", "radio", "0.csv", "1.csv", "./0.csv"]);
     assert_eq!(twice.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&twice.stderr).contains("given twice"));
+}
+
+/// A hundred metres a second.
+fn places_in_centimetres_are_refused(root: &Path, walk: &str) {
+    let line = |n: u32| format!("{n} {} 0 0 0 0 0 1\n", 100 * n);
+    let lines: String = (0..20).map(line).collect();
+    std::fs::write(root.join("centimetres.tum"), lines).expect("a trajectory");
+    let command = [
+        "dataset",
+        "radio",
+        walk,
+        "--trajectory",
+        "centimetres.tum",
+        "--out",
+        "cm.csv",
+    ];
+    let said = lsfb(root, &command);
+    assert_eq!(said.status.code(), Some(1), "{said:?}");
+    let said = String::from_utf8_lossy(&said.stderr);
+    assert!(said.contains("100 m/s from one known place"), "{said}");
 }

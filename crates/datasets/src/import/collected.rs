@@ -125,13 +125,16 @@ impl Collected {
                     period_s,
                 });
             }
-            if let Some(median) = stream.impossible_force_m_s2() {
+            let force = stream.impossible_force_m_s2().map(|median| {
+                format!("the median specific force is {median:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off")
+            });
+            let rate = stream.impossible_rate_rad_s().map(|median| {
+                format!("turns of {median:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit")
+            });
+            if let Some(problem) = force.or(rate) {
                 return Err(Error::Recorded {
                     path: source.to_owned(),
-                    problem: format!(
-                        "{}: the median specific force is {median:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off",
-                        stream.what
-                    ),
+                    problem: format!("{}: {problem}", stream.what),
                 });
             }
         }

@@ -1,7 +1,7 @@
 //! Records of one kind from one place, put in order: whatever does not fit is counted.
 
 use lsfb_recording::LAST_STAMP;
-use lsfb_types::Timestamp;
+use lsfb_types::{ImuSample, Timestamp, median};
 
 use super::payload::{Kind, Payload};
 
@@ -12,6 +12,8 @@ const FARTHEST_NS: i64 = 86_400_000_000_000;
 
 /// Gravity is most of what an accelerometer feels.
 const POSSIBLE_FORCE_M_S2: std::ops::Range<f64> = 6.0..15.0;
+/// Nobody turns a device faster for half of the time, rad/s.
+const FASTEST_RAD_S: f64 = 10.0;
 
 /// One record with its stamps.
 #[derive(Clone, Debug)]
@@ -135,20 +137,28 @@ impl Stream {
 
     /// Median length of specific force, m/s², where it is none of a device that is carried about: in another unit, or without gravity.
     pub(super) fn impossible_force_m_s2(&self) -> Option<f64> {
+        let median = self.median_length(|sample| sample.specific_force_m_s2)?;
+        (!POSSIBLE_FORCE_M_S2.contains(&median)).then_some(median)
+    }
+
+    /// Median rate of turn, rad/s, where nobody turns so fast: in degrees.
+    pub(super) fn impossible_rate_rad_s(&self) -> Option<f64> {
+        let median = self.median_length(|sample| sample.angular_velocity_rad_s)?;
+        (median > FASTEST_RAD_S).then_some(median)
+    }
+
+    /// Median length of a vector of inertial samples; `None` of few.
+    fn median_length(&self, vector: impl Fn(&ImuSample) -> [f64; 3]) -> Option<f64> {
         let lengths = self.records.iter().filter_map(|r| match &r.payload {
             Payload::Imu(sample) => {
-                let [x, y, z] = sample.specific_force_m_s2;
+                let [x, y, z] = vector(sample);
                 Some((x * x + y * y + z * z).sqrt())
             }
             _ => None,
         });
-        let mut lengths: Vec<f64> = lengths.collect();
-        if lengths.len() < ENOUGH {
-            return None;
-        }
-        let middle = lengths.len() / 2;
-        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
-        (!POSSIBLE_FORCE_M_S2.contains(&median)).then_some(median)
+        let lengths: Vec<f64> = lengths.collect();
+        let is_enough = lengths.len() >= ENOUGH;
+        median(lengths).filter(|_| is_enough)
     }
 
     /// Median of the times between its records, seconds, where no such sensor has it: its stamps are in another unit.

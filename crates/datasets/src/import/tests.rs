@@ -313,6 +313,24 @@ fn accelerations_in_g_are_refused() {
 }
 
 #[test]
+fn turns_in_degrees_are_refused() {
+    let folder = euroc();
+    edit(&folder, "mav0/imu0/data.csv", |text| {
+        text.lines()
+            .map(|line| {
+                let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+                if !line.starts_with('#') {
+                    fields[1..4].iter_mut().for_each(|f| *f = "20.0".to_owned());
+                }
+                fields.join(",") + "\n"
+            })
+            .collect()
+    });
+    let error = refused(folder.path());
+    assert!(error.contains("turns of 34.6 rad/s"), "{error}");
+}
+
+#[test]
 fn records_of_clocks_that_have_nothing_to_do_with_each_other_are_refused() {
     let folder = euroc();
     edit(&folder, "mav0/cam0/data.csv", |text| {

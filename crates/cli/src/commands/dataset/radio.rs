@@ -6,6 +6,7 @@ use lsfb_eval::radio::{
     KnownPlace, PlacedReading, PlacingConfig, RadioKind, place, table, waypoints,
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
+use lsfb_types::median;
 use serde::Serialize;
 
 use crate::context::Context;
@@ -52,6 +53,9 @@ struct Found<'a> {
     sigma_rms_m: Option<f64>,
 }
 
+/// Faster than this nobody moves who listens for radio, m/s: places in centimetres, or of another clock.
+const FASTEST_M_S: f64 = 30.0;
+
 /// Reads, places, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let out = &arguments.out;
@@ -74,6 +78,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "{}: {} known places: give a trajectory with --trajectory",
         arguments.recording.display(),
         known.len()
+    );
+    let speeds = known.windows(2).map(|pair| {
+        let moved_m = (pair[1].position_m - pair[0].position_m).norm();
+        moved_m / pair[1].time.secs_since(pair[0].time).max(1e-3)
+    });
+    let usual_m_s = median(speeds.collect()).unwrap_or(0.0);
+    anyhow::ensure!(
+        usual_m_s < FASTEST_M_S,
+        "{}: {usual_m_s:.0} m/s from one known place to the next: are places in metres, and times on the recording's clock?",
+        arguments.recording.display()
     );
     let placed = place(&recording, &known, &config)?;
     anyhow::ensure!(
