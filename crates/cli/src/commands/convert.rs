@@ -28,7 +28,7 @@ pub struct Arguments {
     /// The trajectory: a file, or a folder of kapture, COLMAP or EuRoC.
     #[arg(value_name = "TRAJECTORY")]
     trajectory: PathBuf,
-    /// The format to write.
+    /// The format of the result.
     #[arg(long, value_name = "FORMAT", value_enum)]
     to: Format,
     /// The file; for kapture the folder.

@@ -28,7 +28,7 @@ const EVERY_POINT: usize = 23;
 /// Draw a dataset on one page: the maps with all walks in them, estimates against the truth, the tables, and what cannot be true.
 ///
 /// Maps are the scans, placed by the truth; walks have a colour for each device; squares where most walks pass are drawn again, larger, or
-/// those that --inset names (the paper's Fig. 1). Where the truth is held back, the tables are all there is. With --estimates, every file
+/// those that --inset-m names (the paper's Fig. 1). Where the truth is held back, the tables are all there is. With --estimates, every file
 /// SEQUENCE.tum of that folder is drawn and judged against the truth. --out-svg writes the same drawings for papers; a browser prints the page
 /// as PDF or saves it as a picture.
 ///
@@ -38,7 +38,7 @@ const EVERY_POINT: usize = 23;
 /// Examples:
 ///   lsfb report dataset --out report.html
 ///   lsfb report dataset --out report.html --estimates found --out-svg figures
-///   lsfb report dataset --out report.html --inset narrow-corridor=12.5,-3,4 --inset narrow-corridor=2,0,4
+///   lsfb report dataset --out report.html --inset-m narrow-corridor=12.5,-3,4 --inset-m narrow-corridor=2,0,4
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -56,7 +56,7 @@ pub struct Arguments {
     out_svg: Option<PathBuf>,
     /// A square of an environment that is drawn again, larger: its middle and side in metres; may be repeated.
     #[arg(long, value_name = "ENVIRONMENT=X,Y,SIDE", value_parser = inset, allow_hyphen_values = true)]
-    inset: Vec<(String, [f64; 3])>,
+    inset_m: Vec<(String, [f64; 3])>,
 }
 
 /// `narrow-corridor=12.5,-3,4`.
@@ -84,7 +84,7 @@ struct Drawn<'a> {
 /// Measures, draws, judges, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let (folder, description) = dataset::open(&arguments.dataset)?;
-    for (name, _) in &arguments.inset {
+    for (name, _) in &arguments.inset_m {
         anyhow::ensure!(
             description.environments.iter().any(|e| e.name == *name),
             "the dataset has no environment {name:?}: it has {}",
@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         measured.push(own);
     }
     let mut views = DatasetViews {
-        environments: environments(&folder, &description, &arguments.inset, context)?,
+        environments: environments(&folder, &description, &arguments.inset_m, context)?,
         estimates: Vec::new(),
     };
     if let Some(estimates) = &arguments.estimates {

@@ -129,7 +129,7 @@ impl Collected {
                 format!("the median specific force is {median:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off")
             });
             let rate = stream.impossible_rate_rad_s().map(|median| {
-                format!("turns of {median:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit")
+                format!("the IMU measured turns of {median:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit")
             });
             if let Some(problem) = force.or(rate) {
                 return Err(Error::Recorded {

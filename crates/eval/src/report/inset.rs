@@ -77,7 +77,7 @@ impl Inset {
             .map(|(square, (walks, poses))| ((walks.len(), poses), square))
             .collect();
         // Stable: of equal ones that nearest to the origin of the grid.
-        ranked.sort_by(|a, b| b.0.cmp(&a.0));
+        ranked.sort_by_key(|(count, ..)| std::cmp::Reverse(*count));
         let mut chosen: Vec<(i64, i64)> = Vec::new();
         for (_, square) in ranked {
             let is_apart =

@@ -184,8 +184,10 @@ fn chunk(bytes: &[u8]) -> Result<(&[u8], &[u8]), String> {
 
 /// A number that light can be computed with.
 fn bounded(value: f32) -> f32 {
-    // Of what is no number, nothing.
-    value.max(0.0).min(1e9)
+    if value.is_nan() {
+        return 0.0;
+    }
+    value.clamp(0.0, 1e9)
 }
 
 struct Reading<'a> {
