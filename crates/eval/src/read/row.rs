@@ -170,8 +170,8 @@ pub(super) fn covariance_in_tangent(
     Ok(turn * given * turn.transpose())
 }
 
-/// The way back of [`covariance_in_tangent`]: a covariance of `[rotation, translation]` in the tangent of a pose as one of x y z and of
-/// rotations about the world's axes, as ROS publishes it.
+/// A covariance of `[rotation, translation]` in the tangent of a pose, as one of x y z and of rotations about the world's axes, which is
+/// how ROS publishes it: the inverse of what reading does.
 pub fn covariance_in_world(covariance: &Matrix6<f64>, world_from_rig: &Se3) -> Matrix6<f64> {
     let rotation = world_from_rig.rotation_matrix();
     let mut to_world = Matrix6::zeros();
