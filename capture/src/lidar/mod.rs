@@ -97,6 +97,8 @@ pub(crate) struct LidarStream {
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
     turns: Turns,
+    /// Scans that the decoder had cut for their length when the last one came.
+    overlong: u64,
     /// Turns a second, once they are known.
     rate_hz: Option<f64>,
     /// What the recording says of it.
@@ -129,6 +131,7 @@ impl LidarStream {
             utc: Utc::default(),
             scans: None,
             turns: Turns::default(),
+            overlong: 0,
             rate_hz: None,
             noted: Vec::new(),
         }
@@ -297,7 +300,10 @@ impl LidarStream {
             self.meter.set_partial(self.sight.problem());
         }
         let device_ns = scan.device_ticks.cast_signed();
-        let is_turn = self.turns.note(device_ns);
+        // What was cut for its length is no turn either, however regularly it comes.
+        let overlong = self.decoder.counters().overlong;
+        let was_cut = overlong > std::mem::replace(&mut self.overlong, overlong);
+        let is_turn = self.turns.note(device_ns) && !was_cut;
         self.without_scan.note(Says::news_if(is_turn), scan.arrival);
         let time = self.clock.time(device_ns, scan.arrival);
         self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));

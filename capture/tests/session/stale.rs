@@ -195,6 +195,17 @@ fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
 fn a_lidar_whose_rotor_stands_is_not_healthy() {
     let stands = lidar(|n| trembling_after(300, n));
     assert_stale(&stands, "lidar", "no scan of a full turn");
+    // At one angle: what is cut for its length comes three times a second, and looked like turns.
+    let still = lidar(|n| {
+        with_azimuths(n, |block| {
+            if n < 1_500 {
+                block_azimuth(n, block)
+            } else {
+                10_000
+            }
+        })
+    });
+    assert_stale(&still, "lidar", "no scan of a full turn");
 }
 
 /// Frames of a unit at 20 Hz, whose number and stamps go on while its pixels are those of `image`.
