@@ -98,11 +98,14 @@ impl InertialFilter {
             return knots;
         };
         while self.time < end {
-            let until = match self.standing {
-                Some(_) => end.min(self.time.plus_secs(STANDING_SPAN_S)),
-                None => end,
-            };
             let first = samples.partition_point(|s| s.time <= self.time);
+            let span_end = self.time.plus_secs(STANDING_SPAN_S);
+            let until = match (self.standing, samples.get(first)) {
+                (Some(_), Some(next)) if next.time < span_end => end.min(span_end),
+                // What nobody felt is crossed at once.
+                (Some(_), Some(next)) => end.min(next.time.plus_secs(STANDING_SPAN_S)),
+                _ => end,
+            };
             let last = samples.partition_point(|s| s.time < until).max(first);
             let inside = &samples[first..last];
             self.rest(inside);

@@ -89,6 +89,25 @@ fn a_gap_of_45_ms_is_bridged_by_its_ends() {
     assert!((velocity.x - 1.0).abs() < 0.01, "{velocity}");
 }
 
+/// A clock that was set while the carrier stood: a year in steps of a tenth of a second filled the memory.
+#[test]
+fn a_gap_of_a_year_is_crossed_at_once() {
+    let samples = at_rest(&UnitQuaternion::identity(), [0.0; 3]);
+    let zero = Timestamp::from_nanos(0);
+    let mut filter = InertialFilter::start(&samples, zero, &NOISE).expect("samples");
+    let year = Timestamp::from_nanos(31_536_000_000_000_000);
+    let mut later = samples.clone();
+    later
+        .iter_mut()
+        .for_each(|s| s.time = s.time.plus_nanos(year.nanos()));
+    for samples in [samples.clone(), [samples, later].concat()] {
+        let path = filter.clone().predict(&samples, year.plus_secs(0.5));
+        assert!(path.len() < 1_000, "{}", path.len());
+        assert_eq!(path.last().expect("an end").time, year.plus_secs(0.5));
+    }
+    assert!(filter.predict(&[], year).len() == 1);
+}
+
 #[test]
 fn a_gap_widens_the_prior() {
     let samples = at_rest(&UnitQuaternion::identity(), [0.0; 3]);
