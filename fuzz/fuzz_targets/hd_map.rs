@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_geometry::{Se3, StampedPose, Vector3};
+use lsfb_geometry::{Camera, Rig, RigCamera, Se3, StampedPose, Vector3};
 use lsfb_pipeline::features::{Feature, Features, Keypoint};
 use lsfb_pipeline::hd_map::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, MapPoint, PointObservation,
@@ -53,7 +53,16 @@ static WHOLE: LazyLock<Whole> = LazyLock::new(|| {
             reprojection_rms_px: 0.5,
         })
         .collect();
+    let mut rig = Rig::empty("fuzz");
+    let camera = Camera::pinhole(640, 480, [400.0; 2], [320.0, 240.0]);
+    let mounted = RigCamera {
+        camera,
+        rig_from_camera: Se3::identity(),
+        timing: Default::default(),
+    };
+    rig.cameras.insert("cam0".to_owned(), mounted);
     let content = MapContent {
+        rig: &rig,
         keyframes: &keyframes,
         images: &images,
         points: &points,
