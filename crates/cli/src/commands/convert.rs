@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use lsfb_eval::{
     Columns, ReadOptions, StampUnit, TrajectoryFormat, Written, read_trajectory, write_trajectory,
 };
@@ -29,8 +30,8 @@ pub struct Arguments {
     #[arg(value_name = "TRAJECTORY")]
     trajectory: PathBuf,
     /// The format of the result.
-    #[arg(long, value_name = "FORMAT", value_enum)]
-    to: Format,
+    #[arg(long, value_name = "FORMAT", value_parser = formats())]
+    to: TrajectoryFormat,
     /// The file; for kapture the folder.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -48,26 +49,18 @@ pub struct Arguments {
     stream: Option<String>,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Format {
-    Tum,
-    Euroc,
-    Kitti,
-    Csv,
-    Kapture,
-    Mcap,
+/// Names of the formats, as the help lists them.
+fn formats() -> impl TypedValueParser<Value = TrajectoryFormat> {
+    let named = TrajectoryFormat::NAMED;
+    PossibleValuesParser::new(named.map(|(name, _)| name)).try_map(move |asked| {
+        let found = named.into_iter().find(|(name, _)| *name == asked);
+        found.map(|(_, format)| format).ok_or("no such format")
+    })
 }
 
 /// Reads, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let format = match arguments.to {
-        Format::Tum => TrajectoryFormat::Tum,
-        Format::Euroc => TrajectoryFormat::Euroc,
-        Format::Kitti => TrajectoryFormat::Kitti,
-        Format::Csv => TrajectoryFormat::Csv,
-        Format::Kapture => TrajectoryFormat::Kapture,
-        Format::Mcap => TrajectoryFormat::Mcap,
-    };
+    let format = arguments.to;
     let options = ReadOptions {
         stamp_unit: arguments.stamps,
         columns: arguments.columns,

@@ -31,6 +31,16 @@ pub enum TrajectoryFormat {
 }
 
 impl TrajectoryFormat {
+    /// All of them, by the names that they are called for.
+    pub const NAMED: [(&'static str, Self); 6] = [
+        ("tum", Self::Tum),
+        ("euroc", Self::Euroc),
+        ("kitti", Self::Kitti),
+        ("csv", Self::Csv),
+        ("kapture", Self::Kapture),
+        ("mcap", Self::Mcap),
+    ];
+
     /// The files that are written where `out` is asked for.
     pub fn files(self, out: &Path) -> Vec<PathBuf> {
         match self {
