@@ -1,6 +1,7 @@
 //! The part of the Android recorder that needs no phone, on a JVM: its own tests, and a phone that is killed in the middle of a walk past a
 //! real rig. Skipped, and said so, where there is no `javac`.
 
+mod running;
 mod sidecar_rig;
 
 use std::path::{Path, PathBuf};
@@ -9,9 +10,8 @@ use std::time::Duration;
 
 use lsfb_recording::Recording;
 use lsfb_tests::{Lacks, skip};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use sidecar_rig::{SidecarRig, wait_for};
+use nix::sys::signal::Signal;
+use sidecar_rig::SidecarRig;
 
 const MESSAGES: usize = 1500;
 
@@ -69,7 +69,7 @@ fn the_android_recorder_resumes_where_it_was_killed() {
 
     let rig = SidecarRig::new();
     let (mut recorder, out) = rig.recorder(0);
-    wait_for(rig.address);
+    rig.wait_for(&mut recorder);
     let code = rig.invite(rig.address).to_text();
     let walk = || {
         let mut walk = java("lsfb.sidecar.Walk");
@@ -88,9 +88,8 @@ fn the_android_recorder_resumes_where_it_was_killed() {
     let whole = ran(&mut walk());
     let said = String::from_utf8_lossy(&whole.stdout).into_owned();
     assert!(said.contains(&format!("stored {MESSAGES}")), "{said}");
-    let id = i32::try_from(recorder.id()).expect("process id");
-    kill(Pid::from_raw(id), Signal::SIGINT).expect("signal");
-    recorder.wait().expect("an end");
+    recorder.signal(Signal::SIGINT);
+    recorder.wait();
 
     let recording = Recording::open(&out).expect("a recording");
     let samples = recording.imu().expect("a topic");

@@ -13,7 +13,7 @@ use lsfb_recording::sha256_of;
 use nix::sys::signal::Signal;
 use process::lsfb;
 use running::Running;
-use sidecar_rig::{SidecarRig, wait_for};
+use sidecar_rig::SidecarRig;
 
 /// The demo but for its length.
 const SHORT: &str = "[scan]\nduration_s = 14.0\n[glasses]\nduration_s = 6.0\nheight_m = 1.62\n";
@@ -139,7 +139,7 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
 fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
     let rig = SidecarRig::new();
     let (mut recorder, recording) = rig.recorder(0);
-    wait_for(rig.address);
+    rig.wait_for(&mut recorder);
     let code = rig.invite(rig.address).to_text();
     let play = [
         "sidecar",
@@ -155,7 +155,7 @@ fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
     let played = lsfb(folder, &play);
     assert_eq!(played.status.code(), Some(0), "{played:?}");
     // It ends with its only phone.
-    assert!(recorder.wait().expect("an end").success());
+    assert!(recorder.wait().success());
     let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
     let walks = ["sidecar", "walks", &text(&recording), "--out", "walks"];
     let walks = json(folder, &walks, 0);

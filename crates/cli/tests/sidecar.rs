@@ -3,6 +3,7 @@
 //! `LSFB_SIDECAR_RUNS` phones, sixteen by default, each with faults of its own; the recorder is killed four times for each
 //! sixteen of them.
 
+mod running;
 mod sidecar_rig;
 
 use std::collections::BTreeMap;
@@ -14,9 +15,8 @@ use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_recording::{Recording, Writer, WriterConfig};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use sidecar_rig::{SidecarRig, wait_for};
+use nix::sys::signal::Signal;
+use sidecar_rig::SidecarRig;
 
 /// Phones at once.
 const AT_ONCE: usize = 16;
@@ -97,24 +97,21 @@ fn round(first: usize) {
     let devices: Vec<String> = phones.iter().map(|phone| phone.device.clone()).collect();
     let (mut running, out) = rig.recorder(0);
     let mut recordings = vec![out];
+    rig.wait_for(&mut running);
     std::thread::scope(|scope| {
         let walks: Vec<_> = phones
             .into_iter()
             .map(|phone| {
                 std::thread::Builder::new()
                     .name(phone.device.clone())
-                    .spawn_scoped(scope, move || {
-                        wait_for(phone.address);
-                        walk(phone);
-                    })
+                    .spawn_scoped(scope, move || walk(phone))
                     .expect("a thread")
             })
             .collect();
-        wait_for(address);
         for number in 1..=KILLS {
             std::thread::sleep(Duration::from_millis(350 + 37 * u64::from(number)));
-            running.kill().expect("killed");
-            running.wait().expect("an end");
+            running.signal(Signal::SIGKILL);
+            running.wait();
             let (next, out) = rig.recorder(number);
             running = next;
             recordings.push(out);
@@ -123,9 +120,8 @@ fn round(first: usize) {
             walk.join().expect("everything was sent");
         }
     });
-    let id = i32::try_from(running.id()).expect("process id");
-    kill(Pid::from_raw(id), Signal::SIGINT).expect("signal");
-    running.wait().expect("an end");
+    running.signal(Signal::SIGINT);
+    running.wait();
     let found = recorded(&recordings);
     for device in devices {
         for channel in 0..CHANNELS {

@@ -17,10 +17,9 @@ use chromium::Tab;
 use lsfb_recording::Recording;
 use lsfb_recording::message::{decode_image, decode_imu, decode_time_reference};
 use lsfb_tests::{Lacks, skip};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use serde_json::json;
-use sidecar_rig::{SidecarRig, wait_for};
+use sidecar_rig::SidecarRig;
 
 const NAME: &str = "phone-in-a-browser";
 const TAP: Duration = Duration::from_millis(50);
@@ -179,10 +178,8 @@ fn a_browser_loses_nothing_when_rig_network_and_page_are_gone() {
     let network = Network::to(rig.address);
     let (mut running, first) = rig.recorder(0);
     let mut recordings = vec![first];
-    wait_for(rig.address);
+    rig.wait_for(&mut running);
     let Some(mut tab) = Tab::open(&rig.invite(network.address).to_link()) else {
-        running.kill().expect("killed");
-        running.wait().expect("an end");
         return skip(
             "a_browser_loses_nothing_when_rig_network_and_page_are_gone",
             Lacks::Program,
@@ -196,8 +193,8 @@ fn a_browser_loses_nothing_when_rig_network_and_page_are_gone() {
     tab.press("#run", TAP);
     tab.wait_for("sidecar.spool.session?.stored > 50 && sidecar.link.exchanges > 10");
 
-    running.kill().expect("killed");
-    running.wait().expect("an end");
+    running.signal(Signal::SIGKILL);
+    running.wait();
     tab.wait_for("document.body.dataset.link === 'gone' && sidecar.spool.count > 50");
     let (next, out) = rig.recorder(1);
     running = next;
@@ -221,9 +218,8 @@ fn a_browser_loses_nothing_when_rig_network_and_page_are_gone() {
     let done = tab.value("sidecar.spool.done");
     let shot = Path::new(env!("CARGO_TARGET_TMPDIR")).join("sidecar-page.png");
     assert!(tab.screenshot(&shot) > 5_000);
-    let id = i32::try_from(running.id()).expect("process id");
-    kill(Pid::from_raw(id), Signal::SIGINT).expect("signal");
-    running.wait().expect("an end");
+    running.signal(Signal::SIGINT);
+    running.wait();
 
     let found = recorded(&recordings);
     let sent = |channels: [&str; 2]| -> u64 {

@@ -2,12 +2,14 @@
 
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
 
 use lsfb_capture::{DevicesConfig, INVITATION, PairingFolder, SidecarConfig};
 use lsfb_drivers::sidecar::credentials::PairingCode;
 use tempfile::TempDir;
+
+use crate::running::{Running, wait_until};
 
 /// Its folder, and where it listens.
 pub struct SidecarRig {
@@ -19,9 +21,7 @@ pub struct SidecarRig {
 impl SidecarRig {
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("folder");
-        let address = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
-            .and_then(|listener| listener.local_addr())
-            .expect("a free port");
+        let address = free_address();
         let pairing = PairingFolder::open(&folder.path().join("sidecar")).expect("folder");
         let config = DevicesConfig {
             sidecar: Some(SidecarConfig {
@@ -48,27 +48,35 @@ impl SidecarRig {
     }
 
     /// A recorder, and its recording.
-    pub fn recorder(&self, number: u32) -> (Child, PathBuf) {
+    pub fn recorder(&self, number: u32) -> (Running, PathBuf) {
         let out = self.folder.path().join(format!("walk{number}.mcap"));
-        let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
-            .args(["scan", "--devices", "devices.toml", "--out"])
-            .arg(&out)
-            .current_dir(self.folder.path())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("the built binary");
+        let to = out.to_str().expect("UTF-8");
+        let arguments = ["scan", "--devices", "devices.toml", "--out", to];
+        let process = Running::lsfb(self.folder.path(), arguments.map(str::to_owned));
         (process, out)
+    }
+
+    /// Until a recorder listens; one that ended says why.
+    pub fn wait_for(&self, recorder: &mut Running) {
+        wait_until("somebody listens", || {
+            recorder.still_runs("it listens");
+            TcpStream::connect(self.address).is_ok()
+        });
     }
 }
 
-/// Until somebody listens.
-pub fn wait_for(address: SocketAddr) {
-    for _ in 0..400 {
-        if TcpStream::connect(address).is_ok() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    panic!("nobody listens at {address}");
+/// One that nobody listens at, below the ports that the system gives to connections that go out: between the look at it here and the
+/// recorder that listens there nobody is given it.
+fn free_address() -> SocketAddr {
+    const FIRST: u16 = 20_000;
+    const COUNT: u16 = 10_000;
+    static TRIED: AtomicU16 = AtomicU16::new(0);
+    let start = std::process::id() % u32::from(COUNT);
+    let start = u16::try_from(start).expect("below their count");
+    let free = (0..COUNT).find_map(|_| {
+        let next = start.wrapping_add(TRIED.fetch_add(1, Ordering::Relaxed)) % COUNT;
+        let address = SocketAddr::from(([127, 0, 0, 1], FIRST + next));
+        TcpListener::bind(address).ok().map(|_| address)
+    });
+    free.expect("a free port")
 }
