@@ -239,6 +239,9 @@ impl Live {
         context: &Context,
     ) -> anyhow::Result<CaptureReport> {
         let mut session = Session::open_with(devices, self.phones.as_ref())?;
+        if let Some(sidecar) = &devices.sidecar {
+            context.note(&format!("phones connect to {}", sidecar.listen));
+        }
         let stop = Arc::new(AtomicBool::new(false));
         let rig = devices.rig.as_deref().map(Rig::read).transpose()?;
         let can_run = rig.as_ref().is_some_and(|rig| rig.lidar().is_some());

@@ -57,15 +57,10 @@ impl Running {
             if said.contains(words) {
                 return true;
             }
-            self.still_runs(words);
+            let ended = self.process.try_wait().expect("status");
+            assert!(ended.is_none(), "ended before {words:?}: {said}");
             false
         });
-    }
-
-    /// Fails with what it said where it has ended before something held.
-    pub fn still_runs(&mut self, what: &str) {
-        let ended = self.process.try_wait().expect("status");
-        assert!(ended.is_none(), "ended before {what:?}: {}", self.said());
     }
 
     /// Waits for its end.

@@ -1,15 +1,14 @@
 //! A rig that records phones and nothing else, in a process of its own.
 
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU16, Ordering};
-use std::time::Duration;
 
 use lsfb_capture::{DevicesConfig, INVITATION, PairingFolder, SidecarConfig};
 use lsfb_drivers::sidecar::credentials::PairingCode;
 use tempfile::TempDir;
 
-use crate::running::{Running, wait_until};
+use crate::running::Running;
 
 /// Its folder, and where it listens.
 pub struct SidecarRig {
@@ -58,10 +57,7 @@ impl SidecarRig {
 
     /// Until a recorder listens; one that ended says why.
     pub fn wait_for(&self, recorder: &mut Running) {
-        wait_until("somebody listens", || {
-            recorder.still_runs("it listens");
-            TcpStream::connect(self.address).is_ok()
-        });
+        recorder.wait_for(&format!("phones connect to {}", self.address));
     }
 }
 
