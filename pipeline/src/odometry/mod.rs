@@ -19,6 +19,7 @@ mod range_check;
 mod report;
 mod run;
 mod scale_check;
+mod start_scan;
 mod uncertainty;
 mod unseen;
 mod warning;
@@ -54,6 +55,7 @@ use degeneracy::Seen;
 use first_second::FirstSecond;
 use free_space::FreeSpace;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
+use start_scan::StartScan;
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
 use wide_search::Innovations;
 
@@ -90,7 +92,7 @@ pub struct OdometryStep {
 /// Whether a scan found its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepOutcome {
-    /// The first scan: it defines the map.
+    /// The first scan: it defines the map. Scans before it found no place in what the walk began with until then, and have none.
     First,
     /// Registered to the map.
     Registered,
@@ -120,7 +122,9 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
-    /// What the walk may have to begin again from, in its first second.
+    /// What the walk may have to begin again from, until a scan has found its place.
+    start_scan: Option<StartScan>,
+    /// The same, in its first second.
     first_second: Option<FirstSecond>,
     /// Until then scans count little: the map is drawn by too few.
     unsteady_until: Option<Timestamp>,
@@ -190,6 +194,7 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             searched_in_vain: None,
+            start_scan: None,
             first_second: None,
             unsteady_until: None,
             shared_by: 1.0,
@@ -222,15 +227,24 @@ impl Odometry {
         if let Some(first) = &mut self.first_second {
             first.push_imu(sample);
         }
+        if let Some(start) = &mut self.start_scan {
+            start.push_imu(sample);
+        }
     }
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
-        match self.first_second.take() {
-            Some(first) => first.go_on(self, scan),
-            None if self.last.is_none() => FirstSecond::begin(self, scan),
-            None => self.take_scan(scan),
+        if self.last.is_none() {
+            return StartScan::begin(self, scan);
         }
+        let step = match self.first_second.take() {
+            Some(first) => first.go_on(self, scan),
+            None => self.take_scan(scan),
+        }?;
+        Ok(match self.start_scan.take() {
+            Some(start) => start.go_on(self, scan, step),
+            None => step,
+        })
     }
 
     /// Whether the carrier moved at the start, and its IMU did not feel it: it rolled evenly.

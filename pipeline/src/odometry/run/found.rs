@@ -36,8 +36,8 @@ impl Found {
             Err(other) => return Err(other),
         };
         let anew = std::mem::take(&mut step.anew);
-        if !anew.is_empty() {
-            self.forget_steps();
+        if !anew.is_empty() || step.outcome == StepOutcome::First {
+            self.forget_steps(anew.len() as u64);
         }
         for step in anew.into_iter().chain([step]) {
             self.take_step(step);
@@ -45,14 +45,15 @@ impl Found {
         Ok(())
     }
 
-    /// Leaves what was read, and forgets what was made of it.
-    fn forget_steps(&mut self) {
+    /// Leaves what was read, and forgets what was made of it: the last steps come anew, and scans before these have no place.
+    fn forget_steps(&mut self, anew: u64) {
         let report = std::mem::take(&mut self.report);
         *self = Self::default();
+        let lost = (report.registered + report.lost).saturating_sub(anew);
         self.report = OdometryReport {
             registered: 0,
-            lost: 0,
-            lost_at_end: 0,
+            lost,
+            lost_at_end: lost,
             ..report
         };
     }

@@ -11,6 +11,11 @@ use super::room::{self, Room};
 
 /// A walk of `duration_s` in the furnished room.
 fn record(path: &Path, duration_s: f64, rig: &Rig, with_imu_samples: usize) {
+    record_from(path, duration_s, rig, with_imu_samples, 0);
+}
+
+/// The same, begun so long after its first turn has: nanoseconds.
+fn record_from(path: &Path, duration_s: f64, rig: &Rig, with_imu_samples: usize, begun_ns: u32) {
     let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
     writer.attach_rig(rig).expect("rig");
     for sample in room::imu_samples(duration_s, 7)
@@ -21,7 +26,13 @@ fn record(path: &Path, duration_s: f64, rig: &Rig, with_imu_samples: usize) {
     }
     let room = Room::furnished();
     for i in 0..(duration_s * 10.0) as u64 - 1 {
-        let scan = room::scan(&room, i as f64 * 0.1, i);
+        let mut scan = room::scan(&room, i as f64 * 0.1, i);
+        if i == 0 {
+            let points = &mut scan.sample.points;
+            points.retain(|p| p.time_offset_ns >= begun_ns);
+            points.iter_mut().for_each(|p| p.time_offset_ns -= begun_ns);
+            scan.time = scan.time.plus_nanos(begun_ns.into());
+        }
         writer.write_scan("lidar", &scan).expect("scan");
     }
     writer.finish().expect("finish");
@@ -91,6 +102,22 @@ fn without_inertial_samples_it_warns_and_goes_on() {
     );
     assert_eq!(result.report.registered, 24);
     assert!(worst_error_m(&result.trajectory) < 0.05);
+}
+
+#[test]
+fn a_recording_that_begins_in_the_middle_of_a_turn_loses_that_part_alone() {
+    let folder = tempfile::tempdir().expect("folder");
+    for with_imu_samples in [0, usize::MAX] {
+        let path = folder.path().join(format!("scan{with_imu_samples}.mcap"));
+        record_from(&path, 2.5, &rig(), with_imu_samples, 95_000_000);
+        let recording = Recording::open(&path).expect("recording");
+        let result =
+            run_odometry(&recording, &OdometryConfig::default(), &no_progress).expect("odometry");
+        let report = &result.report;
+        assert_eq!((report.registered, report.lost), (23, 1), "{report:?}");
+        assert_eq!(report.lost_at_end, 0, "{report:?}");
+        assert!(worst_error_m(&result.trajectory) < 0.05);
+    }
 }
 
 #[test]
