@@ -9,6 +9,7 @@ mod config;
 mod covariance;
 mod focal_length;
 mod guided_matching;
+mod joint_focal_length;
 mod judging;
 mod localizer;
 mod map_error;
@@ -24,6 +25,7 @@ mod voting;
 
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
+pub use joint_focal_length::{JointFocalLength, judge_together};
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
