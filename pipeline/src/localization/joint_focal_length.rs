@@ -7,7 +7,6 @@
 use std::fmt;
 
 use super::acceptance::Evidence;
-use super::outcome::{Localization, NotLocalized, NotLocalizedReason};
 
 /// Factor of the focal lengths that most images of a camera find.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,42 +109,6 @@ fn weighted_median(values: &mut [(f64, f64)]) -> Option<f64> {
         below >= half
     });
     middle.map(|(value, _)| *value)
-}
-
-/// Answers of the images of one camera, or of the instants of one rig, with its focal length judged by all of them.
-pub fn judge_together(
-    found: Vec<Result<Localization, NotLocalized>>,
-    min_probability: f64,
-) -> Vec<Result<Localization, NotLocalized>> {
-    let best = found
-        .iter()
-        .filter_map(|found| found.as_ref().map_or_else(NotLocalized::best, Some));
-    let Some(joint) = JointFocalLength::of(best.map(|best| &best.evidence)) else {
-        return found;
-    };
-    let judged = found.into_iter().map(|found| match found {
-        Ok(best) if joint.contradicts(&best.evidence) => Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength {
-                best: Box::new(best),
-                joint: Some(joint),
-            },
-        }),
-        Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength { best, .. },
-        }) if !joint.contradicts(&best.evidence) && best.probability >= min_probability => {
-            Ok(*best)
-        }
-        Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength { best, .. },
-        }) if joint.is_another() => Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength {
-                best,
-                joint: Some(joint),
-            },
-        }),
-        found => found,
-    });
-    judged.collect()
 }
 
 #[cfg(test)]

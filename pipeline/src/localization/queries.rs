@@ -8,7 +8,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
-use super::joint_focal_length::judge_together;
+use super::joint_focal_length::JointFocalLength;
 use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
@@ -67,6 +67,42 @@ pub fn localize_posed_images(
             found,
         })
         .collect())
+}
+
+/// Answers of the images of one camera, or of the instants of one rig, with its focal length judged by all of them.
+pub fn judge_together(
+    found: Vec<Result<Localization, NotLocalized>>,
+    min_probability: f64,
+) -> Vec<Result<Localization, NotLocalized>> {
+    let best = found
+        .iter()
+        .filter_map(|found| found.as_ref().map_or_else(NotLocalized::best, Some));
+    let Some(joint) = JointFocalLength::of(best.map(|best| &best.evidence)) else {
+        return found;
+    };
+    let judged = found.into_iter().map(|found| match found {
+        Ok(best) if joint.contradicts(&best.evidence) => Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength {
+                best: Box::new(best),
+                joint: Some(joint),
+            },
+        }),
+        Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength { best, .. },
+        }) if !joint.contradicts(&best.evidence) && best.probability >= min_probability => {
+            Ok(*best)
+        }
+        Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength { best, .. },
+        }) if joint.is_another() => Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength {
+                best,
+                joint: Some(joint),
+            },
+        }),
+        found => found,
+    });
+    judged.collect()
 }
 
 /// Judges the images of each camera together.
