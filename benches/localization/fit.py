@@ -22,8 +22,8 @@ WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 
                 "focal length +25 %", "focal length +100 %")
 # What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
 FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
-DECADES_TOGETHER = {"sift": 0.04}
-DECADES_TOGETHER_LEARNED = 0.15
+DECADES_TOGETHER = {"sift": 0.028}
+DECADES_TOGETHER_LEARNED = 0.075
 
 
 def evidence(row):
@@ -40,7 +40,7 @@ def evidence(row):
 def against_likeness(row):
     """Probability that the matches are not wrong together, and that no mirror explains them better."""
     false_alarms = float(row["log10_false_alarms"])
-    decades = max(-false_alarms / max(float(row["first_matches"]), 1), 1e-9)
+    decades = max(-false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"]), 1e-9)
     mirror = float(row.get("log10_false_alarms_mirrored", 0))
     together = DECADES_TOGETHER.get(row["feature"], DECADES_TOGETHER_LEARNED)
     return 1 / (1 + (together / decades) ** 6) / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))

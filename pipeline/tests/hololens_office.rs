@@ -97,7 +97,7 @@ fn wrong_focal_lengths_are_named(localizer: &Localizer, office: &PosedImages) {
             accepted += usize::from(found.is_ok());
             let fits = found.err().map(|refused| refused.reason);
             named += usize::from(
-                matches!(fits, Some(NotLocalizedReason::FocalLength { best })
+                matches!(fits, Some(NotLocalizedReason::FocalLength { best, .. })
                 if (best.evidence.focal_scale * factor - 1.0).abs() < 0.05),
             );
         }

@@ -106,6 +106,11 @@ impl Query {
         }
     }
 
+    /// Whether it is an image of another place.
+    pub fn is_elsewhere(&self) -> bool {
+        self.disturbance.is_none()
+    }
+
     /// Name of the row of the table.
     pub fn kind(&self) -> String {
         let elsewhere = || "another place".to_owned();

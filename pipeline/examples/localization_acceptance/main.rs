@@ -13,6 +13,7 @@ mod disturbances;
 mod places;
 mod table;
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +25,9 @@ use lsfb_pipeline::features::{
     FeatureDetector, Features, FrameFeatures, LearnedConfig, LearnedFeature,
 };
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
+use lsfb_pipeline::localization::{
+    Localization, Localizer, LocalizerConfig, NotLocalized, judge_together,
+};
 use lsfb_types::{Image, no_progress};
 use places::Place;
 use rayon::prelude::*;
@@ -111,26 +114,41 @@ fn localize(
     };
     let map = map_of(place, config, maps.map(|m| m.join(&feature)).as_deref())?;
     let localizer = Localizer::new(&map, &LocalizerConfig::default())?;
-    let rows: Result<Vec<Row>, String> = queries
+    let found: Result<Vec<Answer>, String> = queries
         .par_iter()
         .map_init(
             || Memory {
                 detector: detector.clone(),
                 last: None,
             },
-            |memory, query| {
-                Ok(Row {
-                    feature: feature.clone(),
-                    place: place.name,
-                    kind: query.kind(),
-                    image: query.name(),
-                    outcome: outcome(&localizer, place, query, memory)?,
-                })
-            },
+            |memory, query| answer(&localizer, place, query, memory),
         )
         .collect();
-    Ok(rows?)
+    // What is done to images of the place makes a camera of its own.
+    let mut of_kind: BTreeMap<String, (Vec<&Query>, Vec<Answer>)> = BTreeMap::new();
+    for (query, found) in queries.iter().zip(found?) {
+        let (queries, answers) = of_kind.entry(query.kind()).or_default();
+        queries.push(query);
+        answers.push(found);
+    }
+    let rows = of_kind.into_iter().flat_map(|(kind, (queries, answers))| {
+        let judged = match queries[0].is_elsewhere() {
+            true => answers,
+            false => judge_together(answers, localizer.min_probability()),
+        };
+        let row = |(query, found): (&Query, Answer)| Row {
+            feature: feature.clone(),
+            place: place.name,
+            kind: kind.clone(),
+            image: query.name(),
+            outcome: Outcome::new(&found, query, place),
+        };
+        queries.into_iter().zip(judged).map(row).collect::<Vec<_>>()
+    });
+    Ok(rows.collect())
 }
+
+type Answer = Result<Localization, NotLocalized>;
 
 fn arguments() -> Result<Arguments, Box<dyn Error>> {
     let mut given = std::env::args().skip(1);
@@ -194,12 +212,12 @@ impl Memory {
     }
 }
 
-fn outcome(
+fn answer(
     localizer: &Localizer,
     place: &Place,
     query: &Query,
     memory: &mut Memory,
-) -> Result<Outcome, String> {
+) -> Result<Answer, String> {
     let image = image::read(&query.path).map_err(|e| e.to_string())?;
     let (image, camera) = query.disturbed(image);
     let mut rig: Rig = place.queries.rig.clone();
@@ -210,6 +228,5 @@ fn outcome(
         camera: places::CAMERA.to_owned(),
         features: query.thinned(memory.features(image)),
     };
-    let found = localizer.localize(&[frame], &rig);
-    Ok(Outcome::new(&found, query, place))
+    Ok(localizer.localize(&[frame], &rig))
 }

@@ -9,6 +9,16 @@ use super::outcome::Localization;
 use super::ransac::estimate_pose;
 use super::shared_errors::shared_covariance;
 
+/// The largest spread of matches over any of the images.
+fn largest_spread(query: &Query, matches: &[PointMatch]) -> f64 {
+    let spreads = query.cameras.iter().enumerate().map(|(index, mounted)| {
+        let here = matches.iter().filter(|m| m.camera == index);
+        let pixels: Vec<_> = here.map(|m| m.pixel).collect();
+        image_spread(&pixels, mounted.camera.width, mounted.camera.height)
+    });
+    spreads.fold(0.0, f64::max)
+}
+
 /// The focal lengths that fit best, as evidence has them.
 struct FocalEvidence {
     scale: f64,
@@ -54,11 +64,8 @@ impl Localizer {
             hypothesis, places, ..
         } = found;
         let (pose, agreement) = (&hypothesis.pose, &hypothesis.agreement);
-        let spreads = query.cameras.iter().enumerate().map(|(index, mounted)| {
-            let here = resolved.iter().filter(|m| m.camera == index);
-            let pixels: Vec<_> = here.map(|m| m.pixel).collect();
-            image_spread(&pixels, mounted.camera.width, mounted.camera.height)
-        });
+        let first = &hypothesis.first;
+        let first = first.agreeing(query.cameras, &pose.world_from_rig, agreement.tolerance_px);
         let focal = self.focal_length(found, query, near);
         Evidence {
             first_matches: agreement.matches,
@@ -67,7 +74,8 @@ impl Localizer {
             log10_false_alarms: agreement.log10_false_alarms(*places),
             guided_inliers: pose.matches.len(),
             decoy_inliers: query.decoy_inliers(&hypothesis.points, pose, &self.guided()),
-            image_spread: spreads.fold(0.0, f64::max),
+            image_spread: largest_spread(query, resolved),
+            first_spread: largest_spread(query, &first),
             focal_scale: focal.scale,
             focal_log_sigma: focal.log_sigma,
             focal_decades: focal.decades,

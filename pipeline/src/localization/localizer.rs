@@ -61,6 +61,11 @@ impl Localizer {
         &self.map
     }
 
+    /// Least probability of a pose that counts as found.
+    pub fn min_probability(&self) -> f64 {
+        self.config.min_probability
+    }
+
     /// Pose of `rig` from frames taken at one instant.
     pub fn localize(
         &self,
@@ -72,6 +77,7 @@ impl Localizer {
             return Err(NotLocalized {
                 reason: NotLocalizedReason::FocalLength {
                     best: Box::new(best),
+                    joint: None,
                 },
             });
         }

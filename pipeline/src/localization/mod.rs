@@ -9,6 +9,7 @@ mod config;
 mod covariance;
 mod focal_length;
 mod guided_matching;
+mod joint_focal_length;
 mod judging;
 mod localizer;
 mod map_error;
@@ -24,14 +25,15 @@ mod voting;
 
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
+pub use joint_focal_length::JointFocalLength;
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 pub use p3p::solve_p3p;
 pub(crate) use queries::localize_frames;
 pub use queries::{
-    ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, localize_images,
-    localize_posed_images, localize_recording,
+    ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, judge_together,
+    localize_images, localize_posed_images, localize_recording,
 };
 pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

@@ -5,6 +5,7 @@ use std::fmt;
 use lsfb_geometry::{Matrix6, Se3};
 
 use super::acceptance::Evidence;
+use super::joint_focal_length::JointFocalLength;
 
 /// A feature that shows a map point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +81,8 @@ pub enum NotLocalizedReason {
     FocalLength {
         /// The pose, with what speaks for it: to be shown, not to be used.
         best: Box<Localization>,
+        /// What the images of the camera say together, where they do and the focal length is another one by that.
+        joint: Option<JointFocalLength>,
     },
     /// The best pose may be one of chance.
     Improbable {
@@ -142,7 +145,10 @@ impl fmt::Display for NotLocalized {
                 f,
                 "the features agree on no pose: the view may be outside the map"
             ),
-            NotLocalizedReason::FocalLength { best } => write!(
+            NotLocalizedReason::FocalLength {
+                joint: Some(joint), ..
+            } => write!(f, "{joint}"),
+            NotLocalizedReason::FocalLength { best, .. } => write!(
                 f,
                 "the matches fit {:.2} ± {:.2} times the camera's focal length: the image was resized or cropped, or another lens \
                  took it; give the intrinsics that belong to it",
@@ -176,7 +182,7 @@ impl NotLocalized {
     pub fn best(&self) -> Option<&Localization> {
         match &self.reason {
             NotLocalizedReason::Improbable { best, .. }
-            | NotLocalizedReason::FocalLength { best }
+            | NotLocalizedReason::FocalLength { best, .. }
             | NotLocalizedReason::Sequence { best, .. } => Some(best),
             _ => None,
         }

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -7,6 +8,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
+use super::joint_focal_length::JointFocalLength;
 use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
@@ -40,7 +42,7 @@ impl ImageLocalization {
     }
 }
 
-/// Localizes each image of a list on its own, in the list's order.
+/// Localizes each image of a list on its own, in the list's order; the focal length of each camera is judged by all of its images.
 pub fn localize_posed_images(
     localizer: &Localizer,
     posed: &PosedImages,
@@ -56,6 +58,7 @@ pub fn localize_posed_images(
         })
         .collect();
     let found = localize_images(localizer, &posed.rig, &queries, detector, progress)?;
+    let found = judge_each_camera(localizer, &queries, found);
     let localized = posed.images.iter().zip(found);
     Ok(localized
         .map(|(image, found)| ImageLocalization {
@@ -64,6 +67,63 @@ pub fn localize_posed_images(
             found,
         })
         .collect())
+}
+
+/// Answers of the images of one camera, or of the instants of one rig, with its focal length judged by all of them.
+pub fn judge_together(
+    found: Vec<Result<Localization, NotLocalized>>,
+    min_probability: f64,
+) -> Vec<Result<Localization, NotLocalized>> {
+    let best = found
+        .iter()
+        .filter_map(|found| found.as_ref().map_or_else(NotLocalized::best, Some));
+    let Some(joint) = JointFocalLength::of(best.map(|best| &best.evidence)) else {
+        return found;
+    };
+    let judged = found.into_iter().map(|found| match found {
+        Ok(best) if joint.contradicts(&best.evidence) => Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength {
+                best: Box::new(best),
+                joint: Some(joint),
+            },
+        }),
+        Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength { best, .. },
+        }) if !joint.contradicts(&best.evidence) && best.probability >= min_probability => {
+            Ok(*best)
+        }
+        Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength { best, .. },
+        }) if joint.is_another() => Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength {
+                best,
+                joint: Some(joint),
+            },
+        }),
+        found => found,
+    });
+    judged.collect()
+}
+
+/// Judges the images of each camera together.
+fn judge_each_camera(
+    localizer: &Localizer,
+    queries: &[QueryImage],
+    found: Vec<Result<Localization, NotLocalized>>,
+) -> Vec<Result<Localization, NotLocalized>> {
+    let mut of_camera: BTreeMap<&str, (Vec<usize>, Vec<_>)> = BTreeMap::new();
+    for (index, (query, found)) in queries.iter().zip(found).enumerate() {
+        let (places, answers) = of_camera.entry(&query.camera).or_default();
+        places.push(index);
+        answers.push(found);
+    }
+    let min_probability = localizer.min_probability();
+    let judged = of_camera.into_values().flat_map(|(places, answers)| {
+        let judged = judge_together(answers, min_probability);
+        places.into_iter().zip(judged)
+    });
+    let judged: BTreeMap<usize, _> = judged.collect();
+    judged.into_values().collect()
 }
 
 /// An image file to be localized.
@@ -175,7 +235,7 @@ pub fn localize_recording(
     })
 }
 
-/// Localizes each frame of a walk on its own, in their order.
+/// Localizes each frame of a walk on its own, in their order; the focal lengths of the rig are judged by all of them.
 pub(crate) fn localize_frames(
     localizer: &Localizer,
     frames: &[FeatureFrame],
@@ -192,5 +252,6 @@ pub(crate) fn localize_frames(
         })?;
         Ok(found)
     });
-    localized.collect()
+    let found: Result<Vec<_>, Error> = localized.collect();
+    Ok(judge_together(found?, localizer.min_probability()))
 }

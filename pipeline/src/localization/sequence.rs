@@ -183,11 +183,12 @@ mod tests {
             guided_inliers: 200,
             decoy_inliers: 12.0,
             image_spread: 0.6,
+            first_spread: 0.6,
             focal_scale: 1.0,
             focal_log_sigma: 0.01,
             focal_decades: 0.0,
             log10_false_alarms_mirrored: 3.0,
-            decades_together: 0.04,
+            decades_together: 0.02,
             rival_inliers: 0,
         };
         Ok(Localization {

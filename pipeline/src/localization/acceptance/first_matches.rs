@@ -44,6 +44,20 @@ impl FirstMatches {
         }
     }
 
+    /// Those that agree with a pose within a tolerance.
+    pub fn agreeing(
+        &self,
+        cameras: &[MountedCamera],
+        world_from_rig: &Se3,
+        tolerance_px: f64,
+    ) -> Vec<PointMatch> {
+        let agrees = |m: &&PointMatch| {
+            projected(m, cameras, world_from_rig)
+                .is_some_and(|pixel| (pixel - m.pixel).norm() <= tolerance_px)
+        };
+        self.matches.iter().filter(agrees).copied().collect()
+    }
+
     /// How well they agree with a pose: by the tolerance, `max_error_px` or a share of it, by which that is least likely by chance.
     pub fn agreement(
         &self,
@@ -54,13 +68,7 @@ impl FirstMatches {
         let projected: Vec<Option<Vector2<f64>>> = self
             .matches
             .iter()
-            .map(|m| {
-                let mounted = cameras.get(m.camera)?;
-                let camera_from_world = (*world_from_rig * mounted.rig_from_camera).inverse();
-                mounted
-                    .camera
-                    .project(&(camera_from_world * m.point_in_world))
-            })
+            .map(|m| projected(m, cameras, world_from_rig))
             .collect();
         let tolerances_px = TOLERANCES.map(|share| share * max_error_px);
         let (mut inliers, mut by_chance) = ([0usize; TOLERANCES.len()], [0usize; TOLERANCES.len()]);
@@ -89,6 +97,7 @@ impl FirstMatches {
             Agreement {
                 matches: self.matches.len(),
                 inliers: inliers[k],
+                tolerance_px: tolerances_px[k],
                 chance_level: measured.max(disc_px2 / largest_px2).min(1.0),
             }
         };
@@ -101,6 +110,19 @@ impl FirstMatches {
     }
 }
 
+/// Where a pose shows the point of a match.
+fn projected(
+    m: &PointMatch,
+    cameras: &[MountedCamera],
+    world_from_rig: &Se3,
+) -> Option<Vector2<f64>> {
+    let mounted = cameras.get(m.camera)?;
+    let camera_from_world = (*world_from_rig * mounted.rig_from_camera).inverse();
+    mounted
+        .camera
+        .project(&(camera_from_world * m.point_in_world))
+}
+
 /// Tolerances at which agreement is looked for, as shares of the largest: how exact map, lens and keypoints are differs from place
 /// to place.
 const TOLERANCES: [f64; 3] = [0.25, 0.5, 1.0];
@@ -110,6 +132,8 @@ const TOLERANCES: [f64; 3] = [0.25, 0.5, 1.0];
 pub(in crate::localization) struct Agreement {
     pub matches: usize,
     pub inliers: usize,
+    /// Within which these are, pixels.
+    pub tolerance_px: f64,
     pub chance_level: f64,
 }
 
@@ -124,6 +148,7 @@ impl Agreement {
         Self {
             matches,
             inliers: 0,
+            tolerance_px: 0.0,
             chance_level: 1.0,
         }
     }
@@ -185,8 +210,11 @@ mod tests {
     #[test]
     fn few_that_agree_are_no_chance_and_many_may_be() {
         let pose = Se3::identity();
-        let agreement = matches(200, 20, 1.0).agreement(&camera(), &pose, 3.0);
+        let shown = matches(200, 20, 1.0);
+        let agreement = shown.agreement(&camera(), &pose, 3.0);
         assert!((20..23).contains(&agreement.inliers), "{agreement:?}");
+        let agreeing = shown.agreeing(&camera(), &pose, agreement.tolerance_px);
+        assert_eq!(agreeing.len(), agreement.inliers);
         // 28 of 307 200 pixels.
         assert!(agreement.chance_level < 3e-4, "{agreement:?}");
         assert!(agreement.log10_false_alarms(1) < -20.0);

@@ -3,7 +3,9 @@
 use std::fmt::Write;
 
 use lsfb_geometry::Se3;
-use lsfb_pipeline::localization::{Evidence, Localization, NotLocalized, NotLocalizedReason};
+use lsfb_pipeline::localization::{
+    Evidence, JointFocalLength, Localization, NotLocalized, NotLocalizedReason,
+};
 use serde::{Deserialize, Serialize};
 
 use super::PAPER_INLIERS;
@@ -99,6 +101,30 @@ impl Pose {
     }
 }
 
+/// Judges the focal length of a camera by all of its frames, as [`lsfb_pipeline::localization::judge_together`] does.
+pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
+    let evidence = frames
+        .iter()
+        .filter_map(|f| Some(&f.pose.as_ref()?.evidence));
+    let Some(joint) = JointFocalLength::of(evidence) else {
+        return;
+    };
+    for frame in frames {
+        let Some(pose) = &frame.pose else {
+            continue;
+        };
+        let alone = pose.evidence.contradicts_focal_length();
+        let together = joint.contradicts(&pose.evidence);
+        if together && joint.is_another() && (frame.localized || alone) {
+            frame.localized = false;
+            frame.reason = Some(joint.to_string());
+        } else if alone && !together && pose.probability >= min_probability {
+            frame.localized = true;
+            frame.reason = None;
+        }
+    }
+}
+
 /// A line for each frame; empty fields where there is no pose.
 pub fn csv(frames: &[Frame]) -> String {
     let mut text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,position_sigma_m,\
@@ -157,6 +183,30 @@ impl Pose {
 pub mod tests {
     use super::*;
 
+    /// Of frames that find these factors of the focal length, which are localized.
+    fn localized(scales: &[f64]) -> Vec<bool> {
+        let found = scales.iter().map(|scale| {
+            let mut found = frame(String::new(), 0.0, None);
+            if let Some(pose) = &mut found.pose {
+                pose.evidence.focal_scale = *scale;
+                pose.evidence.focal_log_sigma = 0.01;
+                pose.evidence.focal_decades = 10.0;
+                found.localized = !pose.evidence.contradicts_focal_length();
+            }
+            found
+        });
+        let mut found: Vec<Frame> = found.collect();
+        judge_together(&mut found.iter_mut().collect::<Vec<_>>(), 0.99);
+        found.iter().map(|f| f.localized).collect()
+    }
+
+    #[test]
+    fn frames_of_a_camera_are_judged_together() {
+        assert_eq!(localized(&[1.0, 1.2]), [true, false]);
+        assert_eq!(localized(&[1.0, 0.98, 1.2, 1.01, 0.99]), [true; 5]);
+        assert_eq!(localized(&[1.1, 1.04, 1.09, 1.12, 1.11]), [false; 5]);
+    }
+
     /// A frame that was localized at a place along x.
     pub fn frame(name: String, x_m: f64, listed: Option<&Se3>) -> Frame {
         let evidence = Evidence {
@@ -167,12 +217,13 @@ pub mod tests {
             guided_inliers: 200,
             decoy_inliers: 12.0,
             image_spread: 0.6,
+            first_spread: 0.6,
             focal_scale: 1.0,
             // What the matches do not tell.
             focal_log_sigma: f64::INFINITY,
             focal_decades: 0.0,
             log10_false_alarms_mirrored: f64::MIN_POSITIVE,
-            decades_together: 0.04,
+            decades_together: 0.02,
             rival_inliers: 0,
         };
         Frame {

@@ -1,5 +1,6 @@
 //! What is localized: posed images, images without poses, a walk.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -15,7 +16,7 @@ use lsfb_types::{Progress, Timestamp};
 
 use super::Arguments;
 use super::drawing::Shown;
-use super::frames::Frame;
+use super::frames::{self, Frame};
 use super::unfinished::{Asked, Unfinished};
 use crate::context::Context;
 
@@ -241,10 +242,17 @@ impl Input {
                     });
                     Ok(frames.collect())
                 };
-                let frames = match unfinished {
+                let mut frames = match unfinished {
                     Some(unfinished) => unfinished.complete(&asked, localize)?,
                     None => localize(0, &asked)?,
                 };
+                let mut of_camera: BTreeMap<&str, Vec<&mut Frame>> = BTreeMap::new();
+                for (image, frame) in images.iter().zip(&mut frames) {
+                    of_camera.entry(&image.camera).or_default().push(frame);
+                }
+                for frames in of_camera.values_mut() {
+                    frames::judge_together(frames, localizer.min_probability());
+                }
                 Ok(Found {
                     damaged: frames.iter().filter(|f| f.unreadable).count() as u64,
                     times: Vec::new(),
