@@ -57,7 +57,8 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
             Err(why) => {
                 // Of which stream it and all behind it were is not known.
                 let id = into.stream("the file", "broken", Kind::Vector);
-                into.take(id, String::new, Err(why));
+                let place = || source.display().to_string();
+                into.take(id, place, Err(why));
                 break;
             }
         };
