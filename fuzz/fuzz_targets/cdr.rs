@@ -32,7 +32,10 @@ fuzz_target!(|data: &[u8]| {
         9 => drop(message::decode_health_value(data)),
         10 => drop(message::decode_remark(data)),
         11 => drop(message::decode_wifi(data)),
-        12 => drop(message::decode_ble(data)),
+        12 => {
+            drop(message::decode_ble(data));
+            drop(message::Beacon::decode(data));
+        }
         13 => drop(message::decode_magnetic(data)),
         14 => drop(message::decode_pressure(data)),
         15 => drop(message::decode_gnss(data)),

@@ -174,6 +174,13 @@ fn real_recordings_of_others_come_over_whole() {
         ("vision/ios_logger_iphone", "ios-logger", "Head.txt"),
         // Its images and clouds are empty files: each is counted as unreadable.
         ("vision/kapture_samples/m1x", "kapture", ""),
+        ("vision/aria/recording.vrs", "aria-vrs", "sound in 231-1"),
+        // Its images are H.265.
+        (
+            "vision/aria/aria_gen2_unit_test_sequence_with_bluetooth.vrs",
+            "aria-vrs",
+            "SLAM camera in 1201-4",
+        ),
     ] {
         let is_empty = |kind: &str| ["records_camera.txt", "records_lidar.txt"].contains(&kind);
         let Some(source) = absolute(test, below) else {

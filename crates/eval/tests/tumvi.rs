@@ -74,7 +74,7 @@ fn the_imu_sits_where_the_authors_say() {
             "{:?}",
             part.markers_from_imu
         );
-        assert!(part.offset_secs.abs() < 0.005, "{}", part.offset_secs);
+        assert!(part.offset_secs.abs() < 0.001, "{}", part.offset_secs);
         assert!(part.given > 0.9, "{}", part.given);
     }
     let apart = first.body.local(&second.body);

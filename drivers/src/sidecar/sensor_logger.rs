@@ -23,6 +23,10 @@ const MAX_READINGS: usize = 65_536;
 const MAX_UNKNOWN: usize = 64;
 /// Fewer forces say nothing about their unit: the phone may be falling.
 const LEAST_FORCES: usize = 5;
+/// Times of the years 2000 to 2038, which in another unit than nanoseconds lie elsewhere.
+const POSSIBLE_NS: std::ops::Range<i64> = 946_684_800_000_000_000..2_147_483_647_000_000_000;
+/// What a receiver may receive, dBm; iOS writes 127 where it does not know.
+const POSSIBLE_DBM: std::ops::RangeInclusive<f64> = -200.0..=20.0;
 /// Between forces at rest in g and in m/s²: hands neither hold a phone at less than a third of gravity nor at three times it.
 const BETWEEN_UNITS: f64 = 3.2;
 
@@ -129,6 +133,8 @@ pub struct PushedBody {
     pub unknown: BTreeMap<String, u64>,
     /// Readings of known sensors without the values that belong to them.
     pub unreadable: u64,
+    /// Of these, readings with a time that cannot be.
+    pub untimely: u64,
 }
 
 /// Why a body is not taken.
@@ -138,6 +144,11 @@ pub enum PushError {
     /// No JSON, or another object.
     #[error("not a body of Sensor Logger: messageId, sessionId and payload are expected")]
     Body,
+    /// All times are of no year in which phones are carried about.
+    #[error(
+        "its times are not nanoseconds since 1970 of the years 2000 to 2038: set the phone's clock, and push in the app's own format"
+    )]
+    Times,
     /// Too many readings.
     #[error("more than {MAX_READINGS} readings in one body: choose a shorter batch period")]
     Many,
@@ -176,6 +187,10 @@ impl PushedBody {
         for reading in readings {
             parsed.take(reading, units);
         }
+        let is_none_timely = parsed.readings.is_empty() && parsed.untimely > 0;
+        if is_none_timely {
+            return Err(PushError::Times);
+        }
         parsed.check_units(units)?;
         Ok(parsed)
     }
@@ -194,7 +209,10 @@ impl PushedBody {
             *self.unknown.entry(name).or_default() += 1;
             return;
         };
-        let time_ns = reading.get("time").and_then(integer).filter(|t| *t > 0);
+        let time_ns = reading.get("time").and_then(integer);
+        let is_untimely = time_ns.is_some_and(|t| !POSSIBLE_NS.contains(&t));
+        self.untimely += u64::from(is_untimely);
+        let time_ns = time_ns.filter(|_| !is_untimely);
         let value = reading
             .get("values")
             .and_then(|values| value_of(kind, values, units));
@@ -289,11 +307,11 @@ fn value_of(kind: PushedKind, values: &Value, units: PushUnits) -> Option<Pushed
             bssid: Some(text("bssid")).filter(|b| !b.is_empty())?.to_owned(),
             ssid: text("ssid").to_owned(),
             frequency_mhz: of("frequency").map_or(0, |f| f as u32),
-            rssi_dbm: of("level")? as i16,
+            rssi_dbm: of("level").filter(|dbm| POSSIBLE_DBM.contains(dbm))? as i16,
         }),
         PushedKind::Bluetooth => Some(PushedValue::Advert {
             address: Some(text("id")).filter(|b| !b.is_empty())?.to_owned(),
-            rssi_dbm: of("rssi")? as i16,
+            rssi_dbm: of("rssi").filter(|dbm| POSSIBLE_DBM.contains(dbm))? as i16,
             data: advert(text("advertisement"), text("manufacturerData"))?,
         }),
     }
@@ -395,11 +413,10 @@ mod tests {
     /// CROSSPLATFORM.md: flat on a table the phone's z axis reads −1 g on iOS and +9.8 m/s² on Android.
     #[test]
     fn an_iphone_that_is_not_standardised_is_turned_around_and_never_taken_for_standard() {
-        let reading = r#"{"name": "accelerometeruncalibrated", "time": 5, "values": {"x": 0.0, "y": 0.0, "z": Z}}"#;
+        let reading = r#"{"name": "accelerometeruncalibrated", "time": 1698501144401773000, "values": {"x": 0.0, "y": 0.0, "z": Z}}"#;
         let of = |z: &str| {
             let readings = [reading.replace('Z', z), reading.replace('Z', z)].join(",");
-            let gravity =
-                r#"{"name": "gravity", "time": 5, "values": {"x": 0, "y": 0, "z": -9.8}}"#;
+            let gravity = r#"{"name": "gravity", "time": 1698501144401773000, "values": {"x": 0, "y": 0, "z": -9.8}}"#;
             format!(
                 r#"{{"messageId": 0, "sessionId": "s", "payload": [{readings},{readings},{readings},{gravity}]}}"#
             )
@@ -420,6 +437,28 @@ mod tests {
             let refused = PushedBody::parse(of(z).as_bytes(), units);
             assert_eq!(refused, Err(PushError::Units { in_g }));
         }
+    }
+
+    /// Milliseconds were taken for nanoseconds, 127 of iOS for a received power.
+    #[test]
+    fn times_and_powers_that_cannot_be_are_not_taken() {
+        let body = |time: &str, rssi: i32| {
+            let reading = format!(
+                r#"{{"name": "bluetooth", "time": {time}, "values": {{"id": "a", "rssi": {rssi}}}}}"#
+            );
+            let text = format!(r#"{{"messageId": 0, "sessionId": "s", "payload": [{reading}]}}"#);
+            PushedBody::parse(text.as_bytes(), PushUnits::Standard)
+        };
+        for time in [
+            "1698501144",
+            "1698501144401",
+            "1698501144401773",
+            "4000000000000000000",
+        ] {
+            assert_eq!(body(time, -70), Err(PushError::Times), "{time}");
+        }
+        let of = |rssi| body("1698501144401773000", rssi).map(|b| (b.readings.len(), b.unreadable));
+        assert_eq!((of(-70), of(127)), (Ok((1, 0)), Ok((0, 1))));
     }
 
     #[test]

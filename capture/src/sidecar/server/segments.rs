@@ -157,7 +157,7 @@ impl Problem {
             Self::Slow => "segment came too slowly",
             Self::Full => "no room on the disk for a segment",
             Self::Disk => "segment could not be written",
-            Self::NoRecording => "segment is no whole MCAP file",
+            Self::NoRecording => "segment is no whole MCAP file of the profile ros2",
             Self::Other => "another segment has this number",
         }
     }

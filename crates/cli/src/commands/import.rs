@@ -15,7 +15,7 @@ use crate::judged::printable;
 use crate::outcome::Outcome;
 
 /// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
-/// StrayScanner, MARSLogger, VideoIMUCapture, Spectacular Rec, kapture, sessions of LaMAR.
+/// StrayScanner, MARSLogger, VideoIMUCapture, Spectacular Rec, kapture, sessions of LaMAR, VRS files of Project Aria.
 ///
 /// The format is recognised by its content. Every record is counted; what has no place in a recording is listed; ground truth and
 /// trajectories stay beside it. Stamps are the device's own: such a recording says nothing about its clock. Videos need the system's

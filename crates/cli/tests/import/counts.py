@@ -7,6 +7,7 @@ Each line: file or folder below FOLDER, kind of record as the import calls it, h
 import collections
 import gzip
 import pathlib
+import struct
 import sys
 
 root = pathlib.Path(sys.argv[1])
@@ -39,3 +40,16 @@ for path in sorted((root / iphone).glob("*.txt.gz")):
 m1x = "vision/kapture_samples/m1x"
 for name in ("camera", "lidar", "wifi", "bluetooth"):
     say(m1x, f"records_{name}.txt", len(lines(root / m1x / "sensors" / f"records_{name}.txt")))
+
+# VRS: a head of 32 bytes before each record; type 3 is what a sensor measured, streams 1 and 2 are the file's own.
+for name in ("recording.vrs", "aria_gen2_unit_test_sequence_with_bluetooth.vrs"):
+    data = (root / "vision/aria" / name).read_bytes()
+    at = struct.unpack_from("<Q", data, 40)[0]
+    kinds = collections.Counter()
+    while at < len(data):
+        size, _, stream, _, _, instance, kind, _, _ = struct.unpack_from("<IIiIdHBBI", data, at)
+        if kind == 3 and stream > 2:
+            kinds[f"{stream}-{instance}"] += 1
+        at += size
+    for kind, count in sorted(kinds.items()):
+        say(f"vision/aria/{name}", kind, count)

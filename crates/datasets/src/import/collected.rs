@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use lsfb_geometry::{Rig, Trajectory};
 use lsfb_types::Timestamp;
 
+use super::overlap;
 use super::payload::{Kind, Payload};
 use super::report::{ClockOf, LeftOut};
 use super::stream::{Counts, Record, Stream};
@@ -125,13 +126,7 @@ impl Collected {
                     period_s,
                 });
             }
-            let force = stream.impossible_force_m_s2().map(|median| {
-                format!("the median specific force is {median:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off")
-            });
-            let rate = stream.impossible_rate_rad_s().map(|median| {
-                format!("the IMU measured turns of {median:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit")
-            });
-            if let Some(problem) = force.or(rate) {
+            if let Some(problem) = stream.impossible() {
                 return Err(Error::Recorded {
                     path: source.to_owned(),
                     problem: format!("{}: {problem}", stream.what),
@@ -154,7 +149,13 @@ impl Collected {
                 },
             });
         };
-        if to - from > FARTHEST_NS {
+        if to - from <= FARTHEST_NS {
+            let (apart, mut notes) = overlap::look(&self.streams);
+            self.notes.append(&mut notes);
+            if let Some(apart) = apart {
+                return Err(apart.error(source));
+            }
+        } else {
             return Err(Error::ClocksApart {
                 path: source.to_owned(),
                 early: early.what.clone(),

@@ -7,6 +7,7 @@ use flate2::read::MultiGzDecoder;
 use serde::Serialize;
 
 use super::table::find;
+use super::vrs::MAGIC;
 use crate::Error;
 
 /// A program, or a dataset, by the layout of its files.
@@ -31,14 +32,18 @@ pub enum Format {
     Kapture,
     /// A session of LaMAR's capture format: `sensors.txt`, `raw_data/`.
     Lamar,
+    /// Glasses of Project Aria: a VRS file.
+    AriaVrs,
 }
 
 /// How a walk of Indoor Location 2.0 begins.
-const WALK_BEGINS: &str = "#\tstartTime:";
+const WALK_BEGINS: &[u8] = b"#\tstartTime:";
+/// What some editors put before a text.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Euroc,
         Self::IndoorLocation,
         Self::IosLogger,
@@ -48,6 +53,7 @@ impl Format {
         Self::SpectacularRec,
         Self::Kapture,
         Self::Lamar,
+        Self::AriaVrs,
     ];
 
     /// Its name on the command line.
@@ -62,6 +68,7 @@ impl Format {
             Self::SpectacularRec => "spectacular-rec",
             Self::Kapture => "kapture",
             Self::Lamar => "lamar",
+            Self::AriaVrs => "aria-vrs",
         }
     }
 
@@ -80,7 +87,7 @@ impl Format {
                     path: source.to_owned(),
                     problem: match found.is_empty() {
                         true => format!(
-                            "no recording of a program that is known: {} are read; name a LaMAR session itself (sessions/NAME), and convert Aria's VRS to an EuRoC folder first",
+                            "no recording of a program that is known: {} are read; name a LaMAR session itself (sessions/NAME)",
                             list(&Self::ALL)
                         ),
                         false => format!("it may be {}: say which with --format", list(&found)),
@@ -95,15 +102,20 @@ impl Format {
         match self {
             Self::Euroc => euroc_folder(source).is_some(),
             Self::IndoorLocation => source.is_file() && begins_with(source, WALK_BEGINS),
-            Self::IosLogger => has("Accel.txt") && has("Gyro.txt"),
-            Self::StrayScanner => has("odometry.csv") && has("camera_matrix.csv"),
-            Self::MarsLogger => has("gyro_accel.csv"),
+            // Half of a folder is told with what is missing.
+            Self::IosLogger => has("Accel.txt") || has("Gyro.txt"),
+            Self::StrayScanner => {
+                (has("odometry.csv") || has("rgb.mp4"))
+                    && (has("camera_matrix.csv") || has("imu.csv"))
+            }
+            Self::MarsLogger => has("gyro_accel.csv") || has("frame_timestamps.txt"),
             Self::VideoImuCapture => has("video_meta.pb3"),
             Self::SpectacularRec => has("data.jsonl"),
             Self::Kapture => source.join("sensors").join("sensors.txt").is_file(),
             Self::Lamar => {
                 has("sensors.txt") && (has("images.txt") || source.join("raw_data").is_dir())
             }
+            Self::AriaVrs => source.is_file() && begins_with(source, MAGIC),
         }
     }
 }
@@ -119,14 +131,18 @@ pub(super) fn euroc_folder(source: &Path) -> Option<PathBuf> {
     candidates.into_iter().find(|folder| holds_sensors(folder))
 }
 
-fn begins_with(path: &Path, text: &str) -> bool {
+fn begins_with(path: &Path, text: &[u8]) -> bool {
     let Ok(file) = std::fs::File::open(path) else {
         return false;
     };
-    let mut start = vec![0; text.len()];
+    let limit = (BYTE_ORDER_MARK.len() + text.len()) as u64;
+    let mut start = Vec::new();
     let read = match path.extension().is_some_and(|e| e == "gz") {
-        true => MultiGzDecoder::new(file).read_exact(&mut start),
-        false => { file }.read_exact(&mut start),
+        true => MultiGzDecoder::new(file)
+            .take(limit)
+            .read_to_end(&mut start),
+        false => file.take(limit).read_to_end(&mut start),
     };
-    read.is_ok() && start == text.as_bytes()
+    let start = start.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&start);
+    read.is_ok() && start.starts_with(text)
 }

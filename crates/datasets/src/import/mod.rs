@@ -10,6 +10,7 @@ mod collected;
 mod format;
 mod inertial;
 mod inventory;
+mod overlap;
 mod payload;
 mod readers;
 mod report;
@@ -17,6 +18,7 @@ mod stamp;
 mod stream;
 mod table;
 mod video;
+mod vrs;
 mod write;
 
 use std::path::{Path, PathBuf};
@@ -115,6 +117,7 @@ fn io(path: &Path, source: std::io::Error) -> Error {
 fn leave_out_videos_that_do_not_match(collected: &mut Collected) {
     for (video, path) in collected.videos.iter().enumerate() {
         let counted = video::count_frames(path);
+        let mut stamped = 0;
         for stream in &mut collected.streams {
             let is_of_it = |payload: &Payload| match payload {
                 Payload::Image(image) => {
@@ -124,6 +127,7 @@ fn leave_out_videos_that_do_not_match(collected: &mut Collected) {
             };
             let own = stream.records.iter().filter(|r| is_of_it(&r.payload));
             let own = own.count() as u64;
+            stamped += own;
             if own == 0 {
                 continue;
             }
@@ -137,6 +141,12 @@ fn leave_out_videos_that_do_not_match(collected: &mut Collected) {
             };
             stream.records.retain(|r| !is_of_it(&r.payload));
             stream.lose(own, || format!("{}: {why}", path.display()));
+        }
+        if stamped == 0 {
+            collected.notes.push(format!(
+                "{}: nothing stamps its frames: no image of it is imported",
+                path.display()
+            ));
         }
     }
 }

@@ -9,6 +9,8 @@ use lsfb_recording::message::{
 };
 use lsfb_types::{ImuSample, Timestamp};
 
+use super::vrs::ImageAt;
+
 /// What a stream is filled with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -96,6 +98,8 @@ pub(super) enum Pixels {
         video: usize,
         number: u32,
     },
+    /// Within a record of a VRS file.
+    Record(Box<ImageAt>),
 }
 
 impl Payload {

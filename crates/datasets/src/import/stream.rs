@@ -1,7 +1,9 @@
 //! Records of one kind from one place, put in order: whatever does not fit is counted.
 
+use std::collections::BTreeSet;
+
 use lsfb_recording::LAST_STAMP;
-use lsfb_types::{ImuSample, Timestamp, median};
+use lsfb_types::{Timestamp, median};
 
 use super::payload::{Kind, Payload};
 
@@ -12,6 +14,10 @@ const FARTHEST_NS: i64 = 86_400_000_000_000;
 
 /// Gravity is most of what an accelerometer feels.
 const POSSIBLE_FORCE_M_S2: std::ops::Range<f64> = 6.0..15.0;
+/// A field of magnetism, tesla: that of the earth is 25 to 65 millionths, and a phone's own parts may be ten times as strong, or hide it.
+const POSSIBLE_FIELD_T: std::ops::Range<f64> = 2e-6..1e-2;
+/// How long images are exposed, nanoseconds.
+const POSSIBLE_EXPOSURE_NS: std::ops::Range<f64> = 1e3..1e9;
 /// Nobody turns a device faster for half of the time, rad/s.
 const FASTEST_RAD_S: f64 = 10.0;
 
@@ -117,7 +123,7 @@ impl Stream {
         self.records = near;
         self.records.sort_by_key(|r| r.time);
         if self.kind.periods_s().is_none() {
-            return;
+            return self.leave_out_heard_twice();
         }
         let mut kept: Vec<Record> = Vec::with_capacity(self.records.len());
         for record in std::mem::take(&mut self.records) {
@@ -135,30 +141,82 @@ impl Stream {
         self.records = kept;
     }
 
-    /// Median length of specific force, m/s², where it is none of a device that is carried about: in another unit, or without gravity.
-    pub(super) fn impossible_force_m_s2(&self) -> Option<f64> {
-        let median = self.median_length(|sample| sample.specific_force_m_s2)?;
-        (!POSSIBLE_FORCE_M_S2.contains(&median)).then_some(median)
-    }
-
-    /// Median rate of turn, rad/s, where nobody turns so fast: in degrees.
-    pub(super) fn impossible_rate_rad_s(&self) -> Option<f64> {
-        let median = self.median_length(|sample| sample.angular_velocity_rad_s)?;
-        (median > FASTEST_RAD_S).then_some(median)
-    }
-
-    /// Median length of a vector of inertial samples; `None` of few.
-    fn median_length(&self, vector: impl Fn(&ImuSample) -> [f64; 3]) -> Option<f64> {
-        let lengths = self.records.iter().filter_map(|r| match &r.payload {
-            Payload::Imu(sample) => {
-                let [x, y, z] = vector(sample);
-                Some((x * x + y * y + z * z).sqrt())
+    /// Of what comes when there is something to hear, the same at the same time twice was written twice.
+    fn leave_out_heard_twice(&mut self) {
+        let mut heard: BTreeSet<String> = BTreeSet::new();
+        let mut at = None;
+        let mut repeated = 0;
+        self.records.retain(|record| {
+            if at.replace(record.time) != Some(record.time) {
+                heard.clear();
             }
+            let mut payload = record.payload.clone();
+            // A list that stands in a file twice has its scans twice, with numbers of their own.
+            match &mut payload {
+                Payload::Wifi(reading) => reading.scan = 0,
+                Payload::WifiScan(scan) => scan.scan = 0,
+                _ => {}
+            }
+            let is_new = heard.insert(format!("{:?} {payload:?}", record.arrival));
+            repeated += u64::from(!is_new);
+            is_new
+        });
+        self.counts.repeated += repeated;
+    }
+
+    /// What no such sensor measures, in words: its numbers are in another unit.
+    pub(super) fn impossible(&self) -> Option<String> {
+        let is = |name: &str| {
+            self.kind == Kind::Vector
+                && self.topic.starts_with(name)
+                && !self.topic.ends_with("_bias")
+        };
+        let force = self.median(|payload| match payload {
+            Payload::Imu(sample) => Some(length(sample.specific_force_m_s2)),
+            Payload::Vector(vector) if is("accel") => Some(length(*vector)),
             _ => None,
         });
-        let lengths: Vec<f64> = lengths.collect();
-        let is_enough = lengths.len() >= ENOUGH;
-        median(lengths).filter(|_| is_enough)
+        if let Some(force) = force.filter(|f| !POSSIBLE_FORCE_M_S2.contains(f)) {
+            return Some(format!(
+                "the median specific force is {force:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off"
+            ));
+        }
+        let rate = self.median(|payload| match payload {
+            Payload::Imu(sample) => Some(length(sample.angular_velocity_rad_s)),
+            Payload::Vector(vector) if is("gyro") => Some(length(*vector)),
+            _ => None,
+        });
+        if let Some(rate) = rate.filter(|r| *r > FASTEST_RAD_S) {
+            return Some(format!(
+                "the IMU measured turns of {rate:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit"
+            ));
+        }
+        let is_bias = self.topic.ends_with("_bias");
+        let field = self.median(|payload| match payload {
+            Payload::Magnetic(field) if !is_bias => Some(length(*field)),
+            _ => None,
+        });
+        if let Some(field) = field.filter(|f| !POSSIBLE_FIELD_T.contains(f)) {
+            return Some(format!(
+                "the median magnetic field is {field:.2e} T, that of the earth is 5e-5: it is in another unit"
+            ));
+        }
+        let exposure = self.median(|payload| match payload {
+            Payload::Image(image) if image.exposure_ns > 0 => Some(f64::from(image.exposure_ns)),
+            _ => None,
+        });
+        let exposure = exposure.filter(|e| !POSSIBLE_EXPOSURE_NS.contains(e));
+        exposure.map(|exposure| {
+            format!("images are exposed for {exposure} ns: that is in another unit")
+        })
+    }
+
+    /// Median of a number of the records that have it; `None` of few.
+    fn median(&self, number: impl Fn(&Payload) -> Option<f64>) -> Option<f64> {
+        let numbers = self.records.iter().filter_map(|r| number(&r.payload));
+        let numbers: Vec<f64> = numbers.collect();
+        let is_enough = numbers.len() >= ENOUGH;
+        median(numbers).filter(|_| is_enough)
     }
 
     /// Median of the times between its records, seconds, where no such sensor has it: its stamps are in another unit.
@@ -173,4 +231,8 @@ impl Stream {
         let median_s = *periods.select_nth_unstable(middle).1 as f64 / 1e9;
         (!(shortest_s..=longest_s).contains(&median_s)).then_some(median_s)
     }
+}
+
+fn length([x, y, z]: [f64; 3]) -> f64 {
+    (x * x + y * y + z * z).sqrt()
 }

@@ -94,6 +94,24 @@ impl Table {
     }
 }
 
+/// What a receiver may receive, dBm: where a sign was lost it is another number.
+pub(super) fn possible_dbm(value: f64) -> Result<i16, String> {
+    match (-200.0..=20.0).contains(&value) {
+        true => Ok(value.round() as i16),
+        false => Err(format!("{value} dBm is no received power")),
+    }
+}
+
+/// A carrier of Wi-Fi, MHz, of one in hertz, kilohertz or megahertz: they lie between 0.7 and 72 GHz.
+pub(super) fn possible_mhz(value: f64) -> Result<u32, String> {
+    let units = [1.0, 1e3, 1e6].map(|per_mhz| value / per_mhz);
+    let found = units
+        .into_iter()
+        .find(|mhz| (700.0..72_000.0).contains(mhz));
+    let found = found.map(|mhz| mhz.round() as u32);
+    found.ok_or_else(|| format!("{value} is no frequency of Wi-Fi"))
+}
+
 impl Row<'_> {
     /// Fails where the line has not that many cells: what was cut, and two lines run together.
     pub(super) fn expect_cells(
@@ -142,14 +160,12 @@ impl Row<'_> {
 
     /// A received power, dBm; some apps write it with decimals.
     pub(super) fn dbm(&self, cell: usize) -> Result<i16, String> {
-        let value = self.number(cell)?;
-        match (-200.0..=100.0).contains(&value) {
-            true => Ok(value.round() as i16),
-            false => Err(format!(
-                "{value} dBm in column {} is no received power",
-                cell + 1
-            )),
-        }
+        possible_dbm(self.number(cell)?).map_err(|why| format!("column {}: {why}", cell + 1))
+    }
+
+    /// A carrier of Wi-Fi, MHz.
+    pub(super) fn mhz(&self, cell: usize) -> Result<u32, String> {
+        possible_mhz(self.number(cell)?).map_err(|why| format!("column {}: {why}", cell + 1))
     }
 
     /// A stamp, nanoseconds.

@@ -299,35 +299,137 @@ fn stamps_in_another_unit_are_refused() {
     assert_eq!((imu.written, imu.unreadable), (0, 400), "{imu:?}");
 }
 
+/// What no device measures is in another unit; what never meets was stamped by another clock.
 #[test]
-fn accelerations_in_g_are_refused() {
-    let folder = euroc();
-    edit(&folder, "mav0/imu0/data.csv", |text| {
-        text.replace(",9.81", ",1.0")
+fn units_and_clocks_that_cannot_be_are_refused() {
+    let numbers = |from: usize, to: usize, value: &'static str| {
+        move |text: String| -> String {
+            let changed = text.lines().map(|line| {
+                let mut fields: Vec<&str> = line.split(',').collect();
+                if !line.starts_with('#') {
+                    fields[from..to].fill(value);
+                }
+                fields.join(",") + "\n"
+            });
+            changed.collect()
+        }
+    };
+    let later = |text: String| text.replace("152052795", "152053155");
+    type Change = Box<dyn FnOnce(String) -> String>;
+    let cases: [(&str, Change, &str); 4] = [
+        (
+            "imu0",
+            Box::new(numbers(6, 7, "1.0")),
+            "median specific force is 1.000",
+        ),
+        (
+            "imu0",
+            Box::new(numbers(1, 4, "20.0")),
+            "turns of 34.6 rad/s",
+        ),
+        // An hour.
+        ("imu0", Box::new(later), "different clocks"),
+        ("cam0", Box::new(later), "different clocks"),
+    ];
+    for (sensor, change, why) in cases {
+        let folder = euroc();
+        edit(&folder, &format!("mav0/{sensor}/data.csv"), change);
+        let error = refused(folder.path());
+        assert!(error.contains(why), "{sensor}: {error}");
+    }
+}
+
+/// An accelerometer in m/s² where the app has g, a magnetometer in tesla where it has microtesla, a place on no globe.
+#[test]
+fn numbers_of_other_units_in_ios_logger_are_refused() {
+    let texts = |accel: &str, field: &str, latitude: &str| {
+        let folder = tempfile::tempdir().expect("folder");
+        for (name, row) in [("Accel.txt", accel), ("Magnet.txt", field)] {
+            let rows = (0..100).map(|n| format!("{}.{n:03},{row}\n", 1_627_530_745));
+            std::fs::write(folder.path().join(name), rows.collect::<String>()).expect("file");
+        }
+        let gps = format!("1627530745.0,{latitude},6.6,5,400,4,0,0,0\n");
+        std::fs::write(folder.path().join("GPS.txt"), gps).expect("file");
+        folder
+    };
+    let (report, _) = imported(texts("0,0,-1", "20,5,-40", "46.5").path());
+    assert_eq!(report.unreadable(), 0);
+    assert!(report.notes.iter().any(|n| n == "no Gyro.txt in it"));
+    let error = refused(texts("0,0,-9.8", "20,5,-40", "46.5").path());
+    assert!(error.contains("median specific force is 96"), "{error}");
+    let error = refused(texts("0,0,-1", "2e-5,5e-6,-4e-5", "46.5").path());
+    assert!(error.contains("4.50e-11 T"), "{error}");
+    let (report, _) = imported(texts("0,0,-1", "20,5,-40", "465").path());
+    assert_eq!(count(&report, "GPS.txt").unreadable, 1);
+    let folder = texts("0,0,-1", "20,5,-40", "46.5");
+    edit(&folder, "GPS.txt", |text| {
+        text.replace("1627530745", "1627537945")
     });
-    let error = refused(folder.path());
+    let (report, _) = imported(folder.path());
+    let behind = "GPS.txt: all of it lies 7200 s behind the last of the others";
     assert!(
-        error.contains("the median specific force is 1.000"),
-        "{error}"
+        report.notes.iter().any(|n| n == behind),
+        "{:?}",
+        report.notes
     );
 }
 
+/// What was cut off, emptied or copied twice is told.
 #[test]
-fn turns_in_degrees_are_refused() {
+fn streams_that_end_early_are_empty_or_doubled_are_told() {
     let folder = euroc();
-    edit(&folder, "mav0/imu0/data.csv", |text| {
-        text.lines()
-            .map(|line| {
-                let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
-                if !line.starts_with('#') {
-                    fields[1..4].iter_mut().for_each(|f| *f = "20.0".to_owned());
-                }
-                fields.join(",") + "\n"
-            })
-            .collect()
+    edit(&folder, "mav0/cam0/data.csv", |text| {
+        text.replace("1520527959500000000,", "1520527969500000000,")
     });
-    let error = refused(folder.path());
-    assert!(error.contains("turns of 34.6 rad/s"), "{error}");
+    let (report, _) = imported(folder.path());
+    let said = |report: &ImportReport, what: &str| report.notes.iter().any(|n| n.contains(what));
+    assert!(
+        said(&report, "imu0/data.csv: ends 9.5 s before"),
+        "{:?}",
+        report.notes
+    );
+    let folder = euroc();
+    edit(&folder, "mav0/imu0/data.csv", |_| "#timestamp\n".to_owned());
+    let (report, _) = imported(folder.path());
+    assert!(
+        said(&report, "imu0/data.csv: no record in it"),
+        "{:?}",
+        report.notes
+    );
+
+    let folder = tempfile::tempdir().expect("folder");
+    let mut walk = "\u{feff}#\tstartTime:1574560118905\n".to_owned();
+    for n in 0..3 {
+        for (name, mhz) in [("a", "2412"), ("b", "5180000")] {
+            let ms = 1_574_560_118_905_i64 + 2_000 * n;
+            walk += &format!(
+                "{ms}\tTYPE_WIFI\t{name}\t0a:1b:2c:3d:4e:5f\t-50\t{mhz}\t{}\n",
+                ms - 9
+            );
+        }
+    }
+    let lines = walk.clone() + &walk;
+    let positive = walk.replace("\t-50\t", "\t50\t");
+    let path = folder.path().join("walk.txt");
+    let import = |text: &str| {
+        std::fs::write(&path, text).expect("file");
+        let out = folder.path().join("walk.mcap");
+        import(&path, &out, &ImportConfig::default(), &no_progress)
+    };
+    let report = import(&lines).expect("an import");
+    let wifi = count(&report, "TYPE_WIFI");
+    assert_eq!((wifi.read, wifi.written, wifi.repeated), (12, 6, 6));
+    assert_eq!(count(&report, "scans of TYPE_WIFI").written, 3);
+    let recording = Recording::open(&folder.path().join("walk.mcap")).expect("a recording");
+    let mut mhz: Vec<u32> = recording
+        .wifi(None)
+        .expect("wifi")
+        .map(|w| w.expect("whole").sample.frequency_mhz)
+        .collect();
+    mhz.sort_unstable();
+    assert_eq!(mhz, [2412, 2412, 2412, 5180, 5180, 5180]);
+    let error = import(&positive).expect_err("refused").to_string();
+    assert!(error.contains("50 dBm is no received power"), "{error}");
 }
 
 #[test]

@@ -143,6 +143,9 @@ impl Writing<'_> {
         let decoded = match &image.pixels {
             Pixels::File(path) => lsfb_perception::image::read(path).map_err(|e| e.to_string()),
             Pixels::Frame { video, number } => self.frame(*video, *number),
+            Pixels::Record(at) => at
+                .bytes()
+                .and_then(|bytes| lsfb_perception::image::decode(&bytes)),
         };
         let decoded = decoded.and_then(|decoded| self.as_calibrated(camera, decoded));
         let decoded = match decoded {

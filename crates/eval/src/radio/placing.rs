@@ -144,12 +144,8 @@ pub fn place(
         for item in recording.ble(Some(&topic))? {
             let item = item?;
             let heard = item.sample;
-            let source = match heard.address.is_empty() {
-                true => format!("{}:{}:{}", heard.uuid, heard.major, heard.minor),
-                false => heard.address,
-            };
             let reading = PlacedReading {
-                source,
+                source: heard.sender(),
                 rssi_dbm: heard.rssi_dbm,
                 ..empty(RadioKind::Ble, item.time)
             };

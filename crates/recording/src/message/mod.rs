@@ -4,6 +4,7 @@
 //! them are listed in `FORMAT.md`.
 
 mod axes;
+mod beacon;
 mod frame;
 mod image;
 mod imu;
@@ -22,6 +23,7 @@ mod transform;
 mod tests;
 
 pub use axes::{decode_orientation, decode_vector, encode_orientation, encode_vector};
+pub use beacon::Beacon;
 pub(crate) use frame::{frame_of, in_frame_of};
 pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};

@@ -6,6 +6,8 @@ import { nowNs } from "./link.js";
 const DEGREE = Math.PI / 180;
 const FRAME = { width: 640, height: 480 };
 const IMAGES_PER_SECOND = 10;
+// Formats of WebCodecs that begin with eight bits of luma for each pixel.
+const LUMA_FIRST = ["I420", "I420A", "I422", "I422A", "I444", "I444A", "NV12"];
 
 const HEADER = `builtin_interfaces/Time stamp
 string frame_id
@@ -98,9 +100,43 @@ export class Camera {
     this.wait();
   }
 
-  take(capturedMs) {
+  async take(capturedMs) {
     const { videoWidth: width, videoHeight: height } = this.video;
-    if (width === 0) return;
+    // One after the other: a frame that comes while the last one is copied is passed over, as is one that ends behind the walk.
+    if (width === 0 || this.copies) return;
+    this.copies = true;
+    const grey = await this.luma(width, height).finally(() => (this.copies = false));
+    if (!this.stream) return;
+    const timeNs = BigInt(Math.round(capturedMs * 1e6));
+    const pixels = grey ?? this.fromColours(width, height);
+    if (this.put(timeNs, image(timeNs, "cam0", width, height, pixels))) this.images += 1;
+    else this.leftOut += 1;
+  }
+
+  // The frame's own luma, by WebCodecs: nothing where there is none, or where it lies otherwise than it is shown.
+  async luma(width, height) {
+    if (!globalThis.VideoFrame) return null;
+    let frame;
+    try {
+      frame = new VideoFrame(this.video, { timestamp: 0 });
+      const { visibleRect: seen } = frame;
+      const isAsShown = !frame.rotation && !frame.flip && seen.width === width && seen.height === height;
+      if (!isAsShown || !LUMA_FIRST.includes(frame.format)) return null;
+      const bytes = new Uint8Array(frame.allocationSize());
+      const [{ offset, stride }] = await frame.copyTo(bytes);
+      const grey = new Uint8Array(width * height);
+      for (let row = 0; row < height; row += 1) {
+        grey.set(bytes.subarray(offset + row * stride, offset + row * stride + width), row * width);
+      }
+      return grey;
+    } catch {
+      return null;
+    } finally {
+      frame?.close();
+    }
+  }
+
+  fromColours(width, height) {
     Object.assign(this.canvas, { width, height });
     const context = this.canvas.getContext("2d", { willReadFrequently: true });
     context.drawImage(this.video, 0, 0);
@@ -110,9 +146,7 @@ export class Camera {
       // ITU-R BT.601, in 256ths.
       grey[n] = (77 * data[4 * n] + 150 * data[4 * n + 1] + 29 * data[4 * n + 2]) >> 8;
     }
-    const timeNs = BigInt(Math.round(capturedMs * 1e6));
-    if (this.put(timeNs, image(timeNs, "cam0", width, height, grey))) this.images += 1;
-    else this.leftOut += 1;
+    return grey;
   }
 }
 

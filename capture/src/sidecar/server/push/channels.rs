@@ -202,12 +202,7 @@ impl Channels {
                 rssi_dbm,
                 data,
             } => {
-                let advert = BleAdvert {
-                    address: address.clone(),
-                    rssi_dbm: *rssi_dbm,
-                    data: data.clone(),
-                    ..BleAdvert::default()
-                };
+                let advert = BleAdvert::heard(address.clone(), *rssi_dbm, data.clone());
                 message::encode_ble(time, device, &advert)
             }
         }

@@ -130,11 +130,11 @@ async fn received(request: Request<Incoming>) -> Result<Bytes, Answer> {
 
 fn refuse(visit: &Visit, why: PushError) -> Answer {
     visit.shared.refusals.count(match why {
-        PushError::Units { .. } => "pushed in another unit",
+        PushError::Units { .. } | PushError::Times => "pushed in another unit",
         _ => "bad body",
     });
     let status = match why {
-        PushError::Units { .. } => StatusCode::from_u16(SHOWN_STATUS),
+        PushError::Units { .. } | PushError::Times => StatusCode::from_u16(SHOWN_STATUS),
         _ => Ok(StatusCode::BAD_REQUEST),
     };
     said_aloud(status.unwrap_or(StatusCode::BAD_REQUEST), why.to_string())

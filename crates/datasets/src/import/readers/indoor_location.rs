@@ -288,7 +288,7 @@ fn reading(row: &Row<'_>, scan: u32) -> Result<Record, String> {
         ssid: row.text(2).to_owned(),
         bssid: row.text(3).to_owned(),
         rssi_dbm: row.dbm(4)?,
-        frequency_mhz: row.whole(5)?,
+        frequency_mhz: row.mhz(5)?,
     };
     Ok(Record {
         time: Timestamp::from_nanos(row.stamp(6, Milliseconds)?),
@@ -303,7 +303,8 @@ fn beacon(row: &Row<'_>) -> Result<(i64, Payload), String> {
         uuid: row.text(2).to_owned(),
         major: row.whole(3)?,
         minor: row.whole(4)?,
-        measured_power_dbm: row.dbm(5)?,
+        // As the beacon has it: some say what cannot be.
+        measured_power_dbm: row.number(5)?.round() as i16,
         rssi_dbm: row.dbm(6)?,
         address: row.text(8).to_owned(),
         data: Vec::new(),

@@ -133,6 +133,11 @@ fn gnss(row: &Row<'_>) -> Result<GnssReading, String> {
         altitude_m,
         vertical_m,
     ] = row.numbers(1)?;
+    if !(-90.0..=90.0).contains(&latitude_deg) || !(-180.0..=180.0).contains(&longitude_deg) {
+        return Err(format!(
+            "latitude {latitude_deg}, longitude {longitude_deg} are nowhere"
+        ));
+    }
     let is_fix = horizontal_m >= 0.0 && vertical_m > 0.0;
     let (plane_m2, up_m2) = (
         horizontal_m.powi(2) * VARIANCE_BY_RADIUS,

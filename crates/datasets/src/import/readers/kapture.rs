@@ -21,6 +21,8 @@ use crate::import::stamp::StampUnit;
 use crate::import::stream::Record;
 use crate::import::table::{Row, Table};
 
+/// No scan takes longer, nanoseconds: an hour.
+const LONGEST_SCAN_NS: i64 = 3_600_000_000_000;
 /// Characters of a UUID with its hyphens.
 const UUID_CHARS: usize = 36;
 
@@ -107,6 +109,8 @@ impl Reader<'_> {
         }
         let table = self.into.table(path)?;
         let Some(first) = table.rows(',').next().map(|row| row.text(0).to_owned()) else {
+            let empty = format!("{}: no record in it", table.name());
+            self.into.notes.push(empty);
             return Ok(None);
         };
         let unit = self
@@ -180,6 +184,7 @@ impl Reader<'_> {
                 let time_ns = row.stamp(0, unit)?;
                 let time = |cell| Ok::<_, String>(Timestamp::from_nanos(row.stamp(cell, unit)?));
                 let (started, ended) = (time(6)?, time(7)?);
+                scan_can_be(started, ended, Timestamp::from_nanos(time_ns))?;
                 let (scan, _) = scans.entry((sensor.clone(), time_ns)).or_insert_with(|| {
                     let number = counts.entry(sensor.clone()).or_default();
                     *number += 1;
@@ -194,7 +199,7 @@ impl Reader<'_> {
                 let reading = WifiReading {
                     scan: scan.scan,
                     bssid: row.text(2).to_owned(),
-                    frequency_mhz: megahertz(row.whole(3)?),
+                    frequency_mhz: row.mhz(3)?,
                     rssi_dbm: row.dbm(4)?,
                     ssid: row.text(5).to_owned(),
                 };
@@ -358,11 +363,16 @@ fn camera(row: &Row<'_>) -> Result<Camera, String> {
     Camera::from_colmap(model, [width, height], &parameters?).map_err(|e| e.to_string())
 }
 
-/// Wi-Fi's channels lie between 2.4 and 7.2 GHz: kapture's own files have megahertz, LaMAR's kilohertz.
-fn megahertz(frequency: u32) -> u32 {
-    match frequency {
-        100_000.. => frequency / 1000,
-        _ => frequency,
+/// A scan ends behind its beginning and not far from its readings; zero where it is not known.
+fn scan_can_be(started: Timestamp, ended: Timestamp, read: Timestamp) -> Result<(), String> {
+    let unknown = Timestamp::from_nanos(0);
+    let known = [started, ended].into_iter().filter(|t| *t != unknown);
+    let is_near = known.clone().all(|t| (read - t).abs() <= LONGEST_SCAN_NS);
+    match is_near && (known.count() < 2 || started <= ended) {
+        true => Ok(()),
+        false => {
+            Err("a scan that did not end behind its beginning, or not near its readings".to_owned())
+        }
     }
 }
 
@@ -392,13 +402,9 @@ fn sender(id: &str) -> BleAdvert {
 mod tests {
     use super::*;
 
-    /// Kilohertz were read as megahertz, and an iBeacon's number as an address.
+    /// An iBeacon's number was read as an address.
     #[test]
-    fn lamar_has_kilohertz_and_beacons() {
-        assert_eq!(
-            [2_437_000, 5_180_000, 2417].map(megahertz),
-            [2437, 5180, 2417]
-        );
+    fn lamar_has_beacons() {
         let beacon = sender("e2c56db5-dffb-48d2-b060-d0f5a71096e0:7:65535");
         assert_eq!((beacon.major, beacon.minor), (7, 65_535));
         assert_eq!(beacon.uuid, "e2c56db5-dffb-48d2-b060-d0f5a71096e0");

@@ -1,5 +1,6 @@
 //! One reader per format.
 
+mod aria;
 mod euroc;
 mod indoor_location;
 mod ios_logger;
@@ -46,6 +47,7 @@ pub(super) fn read(
         Format::VideoImuCapture => video_imu_capture::read(source, into),
         Format::SpectacularRec => spectacular_rec::read(source, config, into),
         Format::Kapture => kapture::read(source, config, kapture::Layout::Kapture, into),
+        Format::AriaVrs => aria::read(source, into),
         Format::Lamar => kapture::read(source, config, kapture::Layout::Lamar, into),
     }
 }
