@@ -12,6 +12,9 @@ use crate::residuals::{CameraCorrection, entry};
 /// Standard deviations of what is known beforehand beyond which a camera, or the IMU, is not as it is said to be.
 pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
 
+/// Those beyond which a camera bends the motion: what is known beforehand draws it back, away from where it is.
+pub(super) const BENDING_SIGMAS: f64 = 10.0;
+
 /// Parameters of the ground truth of a walk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -214,6 +214,11 @@ pub enum GroundTruthWarning {
         /// How many were not used.
         images: u64,
     },
+    /// A sensor of the IMU repeated one reading while the device moved.
+    FrozenSamples {
+        /// How long, seconds; these samples were not used.
+        secs: f64,
+    },
     /// Too little of the map was mapped from where the walk went to tell the place from one that is built alike.
     PlaceNotChecked {
         /// How long, seconds.
