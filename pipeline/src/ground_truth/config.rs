@@ -190,7 +190,8 @@ impl Default for GroundTruthConfig {
             max_extrapolation_secs: 1.0,
             max_position_sigma_m: 0.05,
             max_disagreement_m: 0.08,
-            max_absent_share: 0.35,
+            // Right walks came to 0.28, one on another floor that is built alike to 0.34.
+            max_absent_share: 0.31,
             accept_failed_map: false,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,

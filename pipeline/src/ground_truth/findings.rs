@@ -6,6 +6,9 @@ use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::in_view::FEWEST_CERTAIN;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
+/// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
+const USUAL_OF_ABSENT: f64 = 0.7;
+
 impl GroundTruthWarning {
     /// Whether something that was recorded could not be read.
     pub fn loses_data(&self) -> bool {
@@ -246,8 +249,14 @@ impl GroundTruthReport {
             // Of a few points nothing is known.
             match self.points_in_view < FEWEST_CERTAIN as u64 {
                 true => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
-                false => Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view)
-                    .value(absent, "%"),
+                false => {
+                    let usual = Limit::AtMost(100.0 * USUAL_OF_ABSENT * self.max_absent_share);
+                    let verdict = Verdict::Warn.unless(usual.holds(absent));
+                    Finding::new("points-in-view", verdict, "trajectory", in_view)
+                        .value(absent, "%")
+                        .limit(usual)
+                        .remedy("make sure that there is no other place like it, or map it as it is now")
+                }
             },
         ];
         findings.extend(self.imu.findings());

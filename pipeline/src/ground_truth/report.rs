@@ -120,6 +120,8 @@ pub struct GroundTruthReport {
     pub points_in_view: u64,
     /// Those that are not there.
     pub points_absent: u64,
+    /// Largest share of them that may be absent.
+    pub max_absent_share: f64,
     /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.

@@ -164,6 +164,7 @@ pub fn ground_truth_of(
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
     report.max_disagreement_m = config.max_disagreement_m;
+    report.max_absent_share = config.max_absent_share;
     (report.points_in_view, report.points_absent) = (whole.certain() as u64, whole.absent as u64);
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
@@ -285,6 +286,7 @@ fn report(
         max_disagreement_m: 0.0,
         points_in_view: 0,
         points_absent: 0,
+        max_absent_share: 0.0,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,
         outliers: not_used(walk, &last.points) as u64,
