@@ -35,9 +35,9 @@ use crate::standing;
 /// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
 ///
 /// The IMU measures lengths and the vertical: a map of another scale, or one that leans, is told by it (map-scale, map-level), as far as the
-/// accelerometer is calibrated; beyond 5 % the exit code is 4. So it is where images and IMU
-/// would only agree if the IMU were more than 12 standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig
-/// file (camera-off): images that are late or another camera's, or wrong axes, and the walk is bent by them.
+/// accelerometer is calibrated; beyond 5 % the exit code is 4. So it is where images and IMU would only agree if the IMU were more than 12
+/// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
+/// camera's, or axes are wrong, and the walk is bent.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
