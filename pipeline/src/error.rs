@@ -405,7 +405,7 @@ pub enum Error {
     },
     /// Parts of the map place a walk differently.
     #[error(
-        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here; map the place again with more views of it, or walk where more of the map is in view", path = path.display()
+        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here, or the place is not as it was mapped; map the place again with more views of it, or walk where more of the map is in view", path = path.display()
     )]
     MapPartsDisagree {
         /// The recording.
@@ -417,9 +417,47 @@ pub enum Error {
         /// How far a pose that is exported may, metres.
         limit_m: f64,
     },
+    /// A sensor of the IMU says the same all along.
+    #[error(
+        "the {sensor} repeats one reading for {secs:.1} s of {of_secs:.1} s, though the device moves: it measures nothing; check the IMU and its driver, and record again"
+    )]
+    FrozenSensor {
+        /// Which of the two.
+        sensor: &'static str,
+        /// How long it repeats one reading, at most, seconds.
+        secs: f64,
+        /// Length of the recording, seconds.
+        of_secs: f64,
+    },
+    /// An axis of the accelerometer does not read what is felt along it.
+    #[error(
+        "{path}: where the accelerometer reads 1 along its {axis} axis, the device feels {x:+.2}, {y:+.2}, {z:+.2} along x, y, z by the places at which its images were found: check the accelerometer's axes, their signs and units, and the IMU's place in the rig file", path = path.display(), x = felt[0], y = felt[1], z = felt[2]
+    )]
+    AccelContradicts {
+        /// The recording.
+        path: PathBuf,
+        /// The axis that is farthest off.
+        axis: char,
+        /// What is felt along x, y and z of the IMU where that axis reads 1.
+        felt: [f64; 3],
+    },
+    /// Parts of the map place a walk differently, and its IMU is not what the recording says.
+    #[error(
+        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m, and images and IMU contradict each other: {imu}", path = path.display()
+    )]
+    ImuContradicts {
+        /// The recording.
+        path: PathBuf,
+        /// Poses that were found.
+        frames: usize,
+        /// How far halves of the map move them in the middle, metres.
+        moved_m: f64,
+        /// What the walk makes of its IMU, and what to do.
+        imu: String,
+    },
     /// Next to nothing of a walk was recognised on its own, and nothing else tells whether the map has it where it was.
     #[error(
-        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), too few of the map's points were mapped from where the walk went to check the others by them, and with half of the map's points withheld the poses move by {moved_m:.2} m: the map is poor here; map the place again from where the walk goes, or walk where more of the map is in view", path = path.display()
+        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), of the {certain} points of the map that should be in view {absent} are not there, too few to tell, and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
     )]
     FewRecognised {
         /// The recording.
@@ -432,6 +470,10 @@ pub enum Error {
         needed_share: f64,
         /// How far halves of the map move the poses in the middle, metres.
         moved_m: f64,
+        /// Points of the map of which it is certain whether they are there, where they should be in view.
+        certain: usize,
+        /// Those that are not.
+        absent: usize,
     },
     /// A least-squares problem kept moving.
     #[error(

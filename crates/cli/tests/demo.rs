@@ -130,6 +130,7 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
         json(&alone, &command.split(' ').collect::<Vec<_>>(), 0);
     }
     assert_same(&expected, &results(&alone));
+    the_bag_of_a_walk_has_its_motion(&alone);
     what_is_left_out_is_said(&alone);
     a_walk_sent_by_a_phone_is_worth_as_much(&alone, &root.join("truth/truth_walk.tum"));
 }
@@ -169,6 +170,33 @@ fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
     let judged = json(folder, &["eval", estimate, "--truth", &text(truth)], 0);
     let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
     assert!(rms_m.is_some_and(|rms_m| rms_m <= 0.03), "{judged}");
+}
+
+/// For who reads ROS: the same poses at the images, with covariances, and at the IMU's rate.
+fn the_bag_of_a_walk_has_its_motion(folder: &Path) {
+    for stream in ["/pose", "/imu_rate/pose"] {
+        let line = format!(
+            "eval walk_states.mcap --estimate-stream {stream} --truth walk.tum --align none"
+        );
+        let judged = json(folder, &line.split(' ').collect::<Vec<_>>(), 0);
+        let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
+        assert!(rms_m.is_some_and(|rms_m| rms_m < 1e-6), "{judged}");
+    }
+    let states = std::fs::read_to_string(folder.join("walk_states.csv")).expect("states");
+    let rows = states.lines().filter(|line| !line.starts_with('#'));
+    let bag = lsfb_recording::Recording::open(&folder.join("walk_states.mcap")).expect("a bag");
+    let topics = bag.topics().iter();
+    let count = |topic: &str| {
+        topics
+            .clone()
+            .find(|t| t.topic == topic)
+            .map(|t| t.messages)
+    };
+    let of_imu = Some(rows.count() as u64);
+    for topic in ["pose", "velocity", "turn_rate", "gyroscope_bias"] {
+        assert_eq!(count(&format!("/imu_rate/{topic}")), of_imu, "{topic}");
+    }
+    assert_eq!(count("/gravity"), Some(1));
 }
 
 /// A trajectory with a gap is not a whole one, for a script as for a person.

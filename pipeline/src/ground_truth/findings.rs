@@ -2,9 +2,12 @@
 
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::config::UNLIKELY_SIGMAS;
+use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::in_view::FEWEST_CERTAIN;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
+
+/// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
+const USUAL_OF_ABSENT: f64 = 0.7;
 
 impl GroundTruthWarning {
     /// Whether something that was recorded could not be read.
@@ -13,6 +16,11 @@ impl GroundTruthWarning {
             self,
             Self::DamagedImages { .. } | Self::DamagedSamples { .. }
         )
+    }
+
+    /// Of samples that were not used because a sensor repeated itself, seconds.
+    pub(super) fn of_frozen_samples(secs: f64) -> Option<Self> {
+        (secs > 0.0).then_some(Self::FrozenSamples { secs })
     }
 
     /// As every command and page says it.
@@ -37,22 +45,7 @@ impl GroundTruthWarning {
                     .limit(Limit::AtMost(0.0))
                     .remedy(remedy)
             }
-            Self::CameraOff { found } => warn(
-                "camera-off",
-                &found.camera,
-                format!(
-                    "it is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length {:+.2} %, \
-                     clock {:+.1} ms)",
-                    found.largest_sigmas,
-                    norm(&found.turn_deg),
-                    norm(&found.shift_m) * 1e3,
-                    found.focal_share * 1e2,
-                    found.clock_s * 1e3,
-                ),
-            )
-            .value(found.largest_sigmas, "")
-            .limit(Limit::AtMost(UNLIKELY_SIGMAS))
-            .remedy("calibrate it again"),
+            Self::CameraOff { found } => found.off(BENDING_SIGMAS),
             Self::ImuGaps { intervals } => warn(
                 "imu-gaps",
                 "IMU",
@@ -106,6 +99,14 @@ impl GroundTruthWarning {
             .value(*images as f64, "")
             .limit(Limit::AtMost(0.0))
             .remedy("check the camera and its driver"),
+            Self::FrozenSamples { secs } => warn(
+                "frozen-samples",
+                "IMU",
+                format!("for {secs:.1} s a sensor repeats one reading, though the device moved; these samples were not used"),
+            )
+            .value(*secs, "s")
+            .limit(Limit::AtMost(0.0))
+            .remedy("check the IMU and its driver"),
             Self::PlaceNotChecked { secs } => warn(
                 "place-not-checked",
                 "trajectory",
@@ -194,6 +195,26 @@ impl CameraRefinement {
         );
         Finding::new("camera", Verdict::Pass, &self.camera, what)
     }
+
+    /// What was found of one that is not as the rig file says: beyond so many standard deviations of that the motion is bent by it.
+    pub(super) fn off(&self, bending_sigmas: f64) -> Finding {
+        let what = format!(
+            "it is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length {:+.2} %, clock {:+.1} ms)",
+            self.largest_sigmas,
+            norm(&self.turn_deg),
+            norm(&self.shift_m) * 1e3,
+            self.focal_share * 1e2,
+            self.clock_s * 1e3,
+        );
+        let (verdict, limit) = match self.largest_sigmas > bending_sigmas {
+            true => (Verdict::Fail, bending_sigmas),
+            false => (Verdict::Warn, UNLIKELY_SIGMAS),
+        };
+        Finding::new("camera-off", verdict, &self.camera, what)
+            .value(self.largest_sigmas, "")
+            .limit(Limit::AtMost(limit))
+            .remedy("calibrate it again")
+    }
 }
 
 impl GroundTruthReport {
@@ -228,8 +249,14 @@ impl GroundTruthReport {
             // Of a few points nothing is known.
             match self.points_in_view < FEWEST_CERTAIN as u64 {
                 true => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
-                false => Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view)
-                    .value(absent, "%"),
+                false => {
+                    let usual = Limit::AtMost(100.0 * USUAL_OF_ABSENT * self.max_absent_share);
+                    let verdict = Verdict::Warn.unless(usual.holds(absent));
+                    Finding::new("points-in-view", verdict, "trajectory", in_view)
+                        .value(absent, "%")
+                        .limit(usual)
+                        .remedy("make sure that there is no other place like it, or map it as it is now")
+                }
             },
         ];
         findings.extend(self.imu.findings());

@@ -10,7 +10,7 @@ use crate::features::Features;
 use crate::frames::FeatureFrame;
 
 /// A device at rest turns no faster than this, by its gyroscope's noise and bias, rad/s.
-const RESTING_RAD_S: f64 = 0.1;
+pub(super) const RESTING_RAD_S: f64 = 0.1;
 
 /// Takes the features from images that repeat the one before while the device turned; returns how many those are.
 pub(super) fn take_out(frames: &mut [FeatureFrame], imu: &[Stamped<ImuSample>]) -> u64 {

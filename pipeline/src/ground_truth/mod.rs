@@ -12,6 +12,7 @@
 //!
 //! [`motion_without_map`] has the motion of a walk for which there is no map, from tracks and the IMU, by the same adjustment.
 
+mod accel_axes;
 mod config;
 mod consensus;
 mod cross_check;
@@ -20,15 +21,18 @@ mod drift;
 mod estimate;
 mod findings;
 mod frozen_images;
+mod frozen_samples;
 mod guided_matching;
 mod imu_agreement;
 mod imu_refinement;
+mod imu_swing;
 mod in_view;
 mod inertial;
 mod local_points;
 mod map_agreement;
 mod optimization;
 mod recorded_walk;
+mod refusal;
 mod report;
 mod run;
 mod start;
@@ -47,6 +51,7 @@ use lsfb_types::{Progress, ProgressFn};
 pub use config::{GroundTruthConfig, InertialPriors};
 pub use dense::DenseState;
 pub use imu_refinement::ImuRefinement;
+pub use imu_swing::{ImuSwing, Swinging};
 pub use map_agreement::{MapAgreement, MapScale};
 pub use recorded_walk::RecordedWalk;
 pub use report::{

@@ -6,7 +6,7 @@ use lsfb_geometry::{ImuNoiseModel, Rig};
 use lsfb_recording::Recording;
 use lsfb_types::{ImuSample, ProgressFn, Stamped};
 
-use super::{GroundTruthConfig, frozen_images};
+use super::{GroundTruthConfig, frozen_images, frozen_samples};
 use crate::Error;
 use crate::features::{Feature, FeatureDetector};
 use crate::frames::{ReadFrames, read_frames, read_imu};
@@ -18,6 +18,8 @@ pub struct RecordedWalk {
     pub(super) noise: ImuNoiseModel,
     pub(super) imu: Vec<Stamped<ImuSample>>,
     pub(super) damaged_samples: u64,
+    /// For how long a sensor of the IMU repeated itself while the device moved, seconds.
+    pub(super) frozen_secs: f64,
     pub(super) read: ReadFrames,
     /// Images that were sent once more while the device was turned.
     pub(super) frozen: u64,
@@ -28,7 +30,7 @@ pub struct RecordedWalk {
 impl RecordedWalk {
     /// Reads samples and images, and finds the features that the settings name.
     ///
-    /// [`Error::SensorMissing`] without cameras or IMU.
+    /// [`Error::SensorMissing`] without cameras or IMU, [`Error::FrozenSensor`] where the IMU repeats itself.
     pub fn read(
         recording: &Recording,
         config: &GroundTruthConfig,
@@ -44,10 +46,11 @@ impl RecordedWalk {
         if rig.cameras.is_empty() {
             return Err(missing("camera"));
         }
-        let (imu, damaged_samples) = read_imu(recording)?;
+        let (mut imu, damaged_samples) = read_imu(recording)?;
         if imu.is_empty() {
             return Err(missing("IMU"));
         }
+        let frozen_secs = frozen_samples::take_out(&mut imu)?;
         let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
         let mut read = read_frames(recording, &rig, &detector, progress)?;
         let frozen = frozen_images::take_out(&mut read.frames, &imu);
@@ -57,6 +60,7 @@ impl RecordedWalk {
             rig,
             imu,
             damaged_samples,
+            frozen_secs,
             read,
             frozen,
             feature: detector.feature(),

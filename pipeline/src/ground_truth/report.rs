@@ -120,6 +120,8 @@ pub struct GroundTruthReport {
     pub points_in_view: u64,
     /// Those that are not there.
     pub points_absent: u64,
+    /// Largest share of them that may be absent.
+    pub max_absent_share: f64,
     /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
@@ -213,6 +215,11 @@ pub enum GroundTruthWarning {
     FrozenImages {
         /// How many were not used.
         images: u64,
+    },
+    /// A sensor of the IMU repeated one reading while the device moved.
+    FrozenSamples {
+        /// How long, seconds; these samples were not used.
+        secs: f64,
     },
     /// Too little of the map was mapped from where the walk went to tell the place from one that is built alike.
     PlaceNotChecked {

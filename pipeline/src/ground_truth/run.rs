@@ -4,16 +4,17 @@ use std::path::Path;
 use std::sync::Arc;
 
 use lsfb_geometry::Trajectory;
-use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
+use super::accel_axes::misread_axis;
 use super::cross_check::check_halves;
 use super::dense::dense_states;
 use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, look_for_points};
 use super::map_agreement::MapAgreement;
 use super::recorded_walk::RecordedWalk;
+use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
@@ -21,8 +22,7 @@ use super::uncertainty::uncertainty;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
 use super::warnings::{not_checked, out_of_reach, warnings};
 use super::{
-    GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, LeftOutReason, Solved,
-    solve_walk,
+    GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, Solved, solve_walk,
 };
 use crate::Error;
 use crate::features::Feature;
@@ -44,7 +44,7 @@ fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Resu
 /// Where the device was at each of its images, in the world of the map.
 ///
 /// [`Error::FailedMap`] of a map that failed when it was made; [`Error::WrongFeature`] of one with other features than the settings name;
-/// [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
+/// [`Error::NotLocalized`] where too few images show the map; [`Error::AccelContradicts`] where a walk is refused and axes of the accelerometer explain it; [`Error::SensorMissing`] without cameras or IMU.
 pub fn ground_truth(
     recording: &Recording,
     map: &HdMap,
@@ -109,7 +109,13 @@ pub fn ground_truth_of(
         point_covariances_m2,
     };
     let start = start_states(&walk, config, progress)?;
-    let start = accepted(start, count, path, config)?;
+    let start = accepted(start, count, path, config).map_err(|error| match error {
+        Error::MapDisagrees { .. } => match misread_axis(&walk) {
+            Some(misread) => misread.refusal(path),
+            None => error,
+        },
+        other => other,
+    })?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let imu = ImuRefinement::of(&walk, &solved.last, config)?;
@@ -136,38 +142,17 @@ pub fn ground_truth_of(
         config,
     );
     let whole = InView::of_walk(&in_view);
-    let (certain, absent) = (whole.certain(), whole.absent);
-    let (recognised, in_reach) = (start.accepted_count, walk.frames.len());
-    if !whole.is_judged() && (recognised as f64) < config.min_recognised_share * in_reach as f64 {
-        return Err(Error::FewRecognised {
-            path: path.clone(),
-            recognised,
-            frames: in_reach,
-            needed_share: config.min_recognised_share,
-            moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
-        });
-    }
-    if trusted.poses.is_empty() {
-        let (path, frames) = (path.clone(), walk.frames.len());
-        return Err(match trusted.main_reason() {
-            Some(LeftOutReason::MapPartsDisagree) => Error::MapPartsDisagree {
-                path,
-                frames,
-                moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
-                limit_m: config.max_disagreement_m,
-            },
-            Some(LeftOutReason::PointsAbsent) => Error::PointsAbsent {
-                path,
-                certain,
-                absent,
-                limit: config.max_absent_share,
-            },
-            _ => Error::NothingCertain {
-                path,
-                frames,
-                limit_m: config.max_position_sigma_m,
-            },
-        });
+    let judged = Judged {
+        path,
+        walk: &walk,
+        start: &start,
+        imu: &imu,
+        trusted: &trusted,
+        in_view: &whole,
+        disagreements_m: &disagreements_m,
+    };
+    if let Some(refusal) = judged.refusal(config) {
+        return Err(refusal);
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory, (&imu, agreement))?;
@@ -179,10 +164,16 @@ pub fn ground_truth_of(
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
     report.max_disagreement_m = config.max_disagreement_m;
-    (report.points_in_view, report.points_absent) = (certain as u64, absent as u64);
+    report.max_absent_share = config.max_absent_share;
+    (report.points_in_view, report.points_absent) = (whole.certain() as u64, whole.absent as u64);
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
-    report.warnings = warnings(&report, read, recorded.frozen, recorded.damaged_samples);
+    report.warnings = warnings(
+        &report,
+        read,
+        recorded.frozen,
+        (recorded.damaged_samples, recorded.frozen_secs),
+    );
     report.warnings.extend(not_checked(&walk, &in_view));
     let failures = map.failures().iter();
     report
@@ -295,6 +286,7 @@ fn report(
         max_disagreement_m: 0.0,
         points_in_view: 0,
         points_absent: 0,
+        max_absent_share: 0.0,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,
         outliers: not_used(walk, &last.points) as u64,

@@ -24,7 +24,7 @@ pub(super) fn warnings(
     report: &GroundTruthReport,
     read: &ReadFrames,
     frozen: u64,
-    damaged_samples: u64,
+    (damaged_samples, frozen_secs): (u64, f64),
 ) -> Vec<GroundTruthWarning> {
     let mut warnings = Vec::new();
     for reason in LeftOutReason::ALL {
@@ -53,6 +53,7 @@ pub(super) fn warnings(
         some(damaged_samples).map(|samples| GroundTruthWarning::DamagedSamples { samples }),
         some(read.repeated_stamps).map(|images| GroundTruthWarning::RepeatedStamps { images }),
         some(frozen).map(|images| GroundTruthWarning::FrozenImages { images }),
+        GroundTruthWarning::of_frozen_samples(frozen_secs),
     ];
     warnings.extend(counted.into_iter().flatten());
     warnings

@@ -75,6 +75,22 @@ impl ImuPreintegration {
         self.sqrt_information * difference.residual()
     }
 
+    /// By how much the samples pull two poses, tangent `[rotation, translation]`: the gradient of half of the squared whitened residual.
+    pub fn pulls(
+        &self,
+        ends: [&NavState; 2],
+        bias: &ImuBias,
+        errors: &ImuErrors,
+        gravity_m_s2: &Vector3<f64>,
+    ) -> [Vector6<f64>; 2] {
+        let difference = self.difference(ends, bias, errors, gravity_m_s2);
+        let weighted = self
+            .sqrt_information
+            .tr_mul(&(self.sqrt_information * difference.residual()));
+        let [by_pose_i, by_pose_j] = difference.by_poses();
+        [by_pose_i.tr_mul(&weighted), by_pose_j.tr_mul(&weighted)]
+    }
+
     /// Columns of what gyroscope and accelerometer are off by.
     fn by_both<const N: usize>(
         &self,
@@ -149,6 +165,29 @@ impl Difference {
         }
         residual
     }
+
+    /// Its derivatives by both poses.
+    fn by_poses(&self) -> [Block<6>; 2] {
+        let log_by_turn = so3::right_jacobian_inverse(&self.rotation);
+        let j_from_i = self.j_from_i.to_rotation_matrix().into_inner();
+        let mut by_pose_i = Block::<6>::zeros();
+        by_pose_i.fixed_view_mut::<9, 3>(0, 0).copy_from(&stack(
+            &(-log_by_turn * j_from_i),
+            &so3::hat(&self.velocity),
+            &so3::hat(&self.position),
+        ));
+        by_pose_i
+            .fixed_view_mut::<3, 3>(6, 3)
+            .copy_from(&-Matrix3::from_diagonal_element(self.true_share));
+        let mut by_pose_j = Block::<6>::zeros();
+        by_pose_j
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&log_by_turn);
+        by_pose_j
+            .fixed_view_mut::<3, 3>(6, 3)
+            .copy_from(&(j_from_i.transpose() * self.true_share));
+        [by_pose_i, by_pose_j]
+    }
 }
 
 impl Residual for ImuPreintegration {
@@ -213,39 +252,21 @@ impl Residual for ImuPreintegration {
             return Ok(());
         }
 
+        let [by_pose_i, by_pose_j] = difference.by_poses();
         let Difference {
             change,
             i_from_world,
-            j_from_i,
             rotation,
-            velocity,
-            position,
             by_scale,
             true_share,
+            ..
         } = difference;
         let dt = self.preintegrated.duration_secs;
         let log_by_turn = so3::right_jacobian_inverse(&rotation);
-        let j_from_i = j_from_i.to_rotation_matrix().into_inner();
         let by_rotation_correction = -log_by_turn
             * so3::exp(&-rotation).to_rotation_matrix().into_inner()
             * so3::right_jacobian(&change.rotation_correction);
         let zero = Matrix3::zeros();
-        let mut by_pose_i = Block::<6>::zeros();
-        by_pose_i.fixed_view_mut::<9, 3>(0, 0).copy_from(&stack(
-            &(-log_by_turn * j_from_i),
-            &so3::hat(&velocity),
-            &so3::hat(&position),
-        ));
-        by_pose_i
-            .fixed_view_mut::<3, 3>(6, 3)
-            .copy_from(&-Matrix3::from_diagonal_element(true_share));
-        let mut by_pose_j = Block::<6>::zeros();
-        by_pose_j
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&log_by_turn);
-        by_pose_j
-            .fixed_view_mut::<3, 3>(6, 3)
-            .copy_from(&(j_from_i.transpose() * true_share));
         let scaled = i_from_world * true_share;
         let by_velocity_i = stack(&zero, &-scaled, &(-scaled * dt));
         let (bias, scale) = (&self.preintegrated.by_bias, &self.preintegrated.by_scale);

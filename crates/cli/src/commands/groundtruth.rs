@@ -13,6 +13,7 @@ use lsfb_types::{Judgement, Verdict};
 
 use super::covariance_file;
 use super::models::ModelFolder;
+use super::motion_file;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -23,7 +24,8 @@ use crate::standing;
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns.
 ///
-/// WALK_states.csv has poses, velocities, biases and turn rates at the IMU's rate, in EuRoC's columns, and gravity.
+/// WALK_states.csv has poses, velocities, biases and turn rates at the IMU's rate, in EuRoC's columns, and gravity. WALK_states.mcap, a ROS 2
+/// bag, has the same, and the poses of the images with their covariance: /pose, /imu_rate/pose, velocity, turn_rate and biases, /gravity.
 ///
 /// What is not certain, or lies elsewhere when parts of the map are withheld, is left out: then the exit code is 3, and the findings say
 /// why. WALK_cross_check.txt has, for each pose, how far half of the map's points move it.
@@ -33,7 +35,9 @@ use crate::standing;
 /// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
 ///
 /// The IMU measures lengths and the vertical: a map of another scale, or one that leans, is told by it (map-scale, map-level), as far as the
-/// accelerometer is calibrated; beyond 5 % the exit code is 4.
+/// accelerometer is calibrated; beyond 5 % the exit code is 4. So it is where images and IMU would only agree if the IMU were more than 12
+/// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
+/// camera's, or axes are wrong, and the walk is bent.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
@@ -134,6 +138,7 @@ impl WalkJob<'_> {
         let covariances = files::beside(self.out, "covariance");
         let cross_check = files::beside(self.out, "cross_check");
         let states = files::beside(self.out, "states").with_extension("csv");
+        let motion = states.with_extension("mcap");
         if let Some(report) = context.standing(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
@@ -145,6 +150,7 @@ impl WalkJob<'_> {
         claim(&covariances)?;
         claim(&cross_check)?;
         claim(&states)?;
+        claim(&motion)?;
         let found = super::about(
             self.recording,
             ground_truth(&walk, &hd_map, &config, &|p| context.show(p)),
@@ -155,8 +161,9 @@ impl WalkJob<'_> {
         files::write(&covariances, covariance_file::text(NOT_IN_IT, poses))?;
         files::write(&cross_check, disagreements(&found))?;
         files::write(&states, states_text(&found))?;
+        motion_file::write(&found, &motion)?;
         provenance.write(self.out)?;
-        let beside = [covariances, cross_check, states];
+        let beside = [covariances, cross_check, states, motion];
         standing::finish(&[self.out], &beside, &provenance, &found.report)?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,

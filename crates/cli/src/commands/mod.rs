@@ -40,6 +40,7 @@ mod map_tools;
 mod map_view;
 pub mod mock;
 pub mod models;
+mod motion_file;
 pub mod odometry;
 mod odometry_input;
 pub mod recover;

@@ -2,6 +2,7 @@
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
+use lsfb_types::Verdict;
 
 use super::recorded::{Measured, Paint, WALK_FRAMES, map, record, rig, run};
 use super::*;
@@ -27,6 +28,13 @@ fn warned(found: &GroundTruth) -> Vec<String> {
     codes.map(|code| code.into_owned()).collect()
 }
 
+/// Codes of what fails.
+fn failed(found: &GroundTruth) -> Vec<String> {
+    let findings = found.report.findings().into_iter();
+    let failed = findings.filter(|f| f.verdict == Verdict::Fail);
+    failed.map(|f| f.code.into_owned()).collect()
+}
+
 /// Largest distance of a pose from the truth, metres.
 fn worst_m(found: &GroundTruth) -> f64 {
     let poses = found.trajectory.poses().iter();
@@ -47,14 +55,16 @@ fn what_is_wrong_with_a_walk_is_said() {
         }
     });
     let error = swapped.expect_err("axes of the IMU");
-    assert!(matches!(error, Error::MapDisagrees { .. }), "{error}");
+    assert!(matches!(error, Error::AccelContradicts { .. }), "{error}");
 
     let late = walked(&map, &rig(), |m| {
         for (_, image) in &mut m.images {
             image.time = image.time.plus_nanos(100_000_000);
         }
     });
-    let said = warned(&late.expect("100 ms"));
+    let late = late.expect("100 ms");
+    assert!(!failed(&late).is_empty(), "{:?}", late.report);
+    let said = warned(&late);
     assert!(said.contains(&"camera-off".to_owned()), "{said:?}");
 
     let mut longer = rig();
@@ -65,6 +75,40 @@ fn what_is_wrong_with_a_walk_is_said() {
     }
     let said = warned(&walked(&map, &longer, |_| {}).expect("2 %"));
     assert!(said.contains(&"camera-off".to_owned()), "{said:?}");
+}
+
+/// They were refused for a poor map.
+#[test]
+fn an_accelerometer_that_measures_nothing_or_along_other_axes_is_named() {
+    let map = map(1);
+    let with = |change: fn(&mut [f64; 3])| {
+        walked(&map, &rig(), |m| {
+            for s in &mut m.imu {
+                change(&mut s.sample.specific_force_m_s2);
+            }
+        })
+    };
+    let frozen = with(|f| *f = [0.1, -0.2, 9.7]).expect_err("frozen");
+    assert!(matches!(frozen, Error::FrozenSensor { .. }), "{frozen}");
+    let turned = with(|f| f.swap(1, 2)).expect_err("y and z");
+    assert!(
+        matches!(
+            turned,
+            Error::AccelContradicts {
+                axis: 'y' | 'z',
+                ..
+            }
+        ),
+        "{turned}"
+    );
+    // Gravity tells less of these two: the walk is found, and nobody takes it for right.
+    match with(|f| f.swap(0, 1)) {
+        Err(refused) => assert!(
+            matches!(refused, Error::AccelContradicts { .. }),
+            "{refused}"
+        ),
+        Ok(found) => assert!(failed(&found).contains(&"imu-errors".to_owned())),
+    }
 }
 
 /// A walk in a map that was found to be bent is no ground truth, however well the walk fits it.

@@ -2,6 +2,7 @@
 
 use lsfb_types::{Finding, Verdict};
 
+use super::super::accel_axes::misread_axis;
 use super::super::imu_refinement::ImuRefinement;
 use super::super::map_agreement::MapAgreement;
 use super::*;
@@ -162,6 +163,62 @@ fn what_no_unknown_stands_for_is_said() {
     assert!(found.imu.noise_factor() > 1.0);
 }
 
+/// Such walks were refused with "the map is poor here".
+#[test]
+fn axes_of_an_accelerometer_that_are_wrong_are_named() {
+    let misread = |change: fn(&mut [f64; 3])| {
+        let MadeUp { mut walk, .. } = make_walk(60, 60, |_| true);
+        for s in &mut walk.imu {
+            change(&mut s.sample.specific_force_m_s2);
+        }
+        misread_axis(&walk)
+    };
+    assert_eq!(misread(|_| {}), None);
+    // A scale of 20 % is an error of another kind.
+    assert_eq!(misread(|f| *f = f.map(|v| 1.2 * v)), None);
+    let swapped = misread(|f| f.swap(0, 1)).expect("x and y");
+    let (own, other) = match swapped.axis {
+        'x' => (0, 1),
+        _ => (1, 0),
+    };
+    assert!(swapped.felt[own].abs() < 0.4, "{swapped:?}");
+    assert!((swapped.felt[other] - 1.0).abs() < 0.3, "{swapped:?}");
+    let negative = misread(|f| *f = f.map(|v| -v)).expect("signs");
+    assert!(
+        negative.felt.iter().any(|v| (v + 1.0).abs() < 0.3),
+        "{negative:?}"
+    );
+    let in_g = misread(|f| *f = f.map(|v| v / 9.81)).expect("units");
+    assert!(in_g.felt.iter().any(|v| *v > 3.0), "{in_g:?}");
+    // Places that have nothing to do with the walk say nothing.
+    let MadeUp { mut walk, .. } = make_walk(60, 60, |_| true);
+    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(3));
+    for frame in &mut walk.frames {
+        let shift_m = rng.vector(0.5);
+        let pose = &mut frame.localized.as_mut().expect("localized").world_from_rig;
+        pose.translation += shift_m;
+    }
+    assert_eq!(misread_axis(&walk), None);
+}
+
+/// Beyond what an IMU can have, what the solve calls its errors may be something else, by which the walk is bent: that was exit code 0.
+#[test]
+fn errors_that_no_imu_has_fail() {
+    let late = |samples: usize| {
+        found(InertialPriors::default(), |imu| {
+            let all: Vec<_> = imu.iter().map(|s| s.sample).collect();
+            for (s, earlier) in imu[samples..].iter_mut().zip(all) {
+                s.sample.specific_force_m_s2 = earlier.specific_force_m_s2;
+            }
+        })
+    };
+    for (samples, expected) in [(1, Verdict::Pass), (4, Verdict::Warn), (10, Verdict::Fail)] {
+        let found = late(samples);
+        let said = verdict(&found.imu.findings(), "imu-errors");
+        assert_eq!(said, Some(expected), "{:?}", found.imu);
+    }
+}
+
 /// A map of another scale fits its images as well as the right one: only the IMU tells.
 #[test]
 fn a_map_of_another_scale_and_one_that_leans_are_said() {
@@ -185,4 +242,38 @@ fn a_map_of_another_scale_and_one_that_leans_are_said() {
         // The IMU does not bend the walk within its map.
         assert!(found.within > 0.93, "{scale}: NEES {:.1}", found.nees);
     }
+}
+
+/// What swings was taken into the path as it was, without a word: images tell it from all frames together alone, and only what moves the path by
+/// more than the finding says.
+#[test]
+fn samples_that_swing_and_images_that_do_not_are_said() {
+    let swinging = |hz: f64, forces: [f64; 3], rates: [f64; 3]| {
+        let found = found(InertialPriors::default(), |imu| {
+            for s in imu {
+                let swing = (std::f64::consts::TAU * hz * s.time.nanos() as f64 * 1e-9).sin();
+                for axis in 0..3 {
+                    s.sample.specific_force_m_s2[axis] += forces[axis] * swing;
+                    s.sample.angular_velocity_rad_s[axis] += rates[axis] * swing;
+                }
+            }
+        });
+        let swing = found.imu.imu_swing.expect("long enough");
+        (swing, verdict(&found.imu.findings(), "imu-swing"))
+    };
+    let none = [0.0; 3];
+    let (still, said) = swinging(3.3, none, none);
+    assert_eq!(said, Some(Verdict::Pass), "{still:?}");
+    for (hz, axis) in [(2.2, 2), (3.3, 0), (4.1, 1)] {
+        // Two and a half times what the finding says.
+        let mut forces = none;
+        let per_s = std::f64::consts::TAU * hz;
+        forces[axis] = 2.5 * still.noticed_from_m * per_s * per_s;
+        let (swing, said) = swinging(hz, forces, none);
+        assert_eq!(said, Some(Verdict::Warn), "{swing:?}");
+        assert!((swing.hz - hz).abs() < 0.15, "{swing:?} of {hz} Hz");
+    }
+    let (swing, said) = swinging(3.7, none, [0.0, 0.0, 0.05]);
+    assert_eq!(said, Some(Verdict::Warn), "{swing:?}");
+    assert!((swing.hz - 3.7).abs() < 0.15, "{swing:?}");
 }

@@ -2,6 +2,7 @@ use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::config::BENDING_SIGMAS;
 
 /// Parameters of the motion of a walk without a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,7 +40,7 @@ impl Default for MotionConfig {
             blind_imu_noise_factor: 4.0,
             max_position_sigma_m: 1.0,
             doubtful_contradicted_share: 0.2,
-            max_camera_off_sigmas: 10.0,
+            max_camera_off_sigmas: BENDING_SIGMAS,
             adjustment: GroundTruthConfig::default(),
         }
     }

@@ -11,6 +11,7 @@ use super::{FrontEnd, MotionConfig, TrackedWalk, motion_without_map};
 use crate::Error;
 use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
+use crate::ground_truth::frozen_samples;
 use crate::ground_truth::report::GroundTruthWarning;
 
 /// The motion of a recorded walk, where it can be believed.
@@ -28,8 +29,8 @@ pub struct RecordedMotion {
 ///
 /// [`Error::SensorMissing`] without cameras or IMU, [`Error::NoBeginning`] where nothing tells scale and gravity,
 /// [`Error::TracksContradict`] where images and IMU do not agree, [`Error::NothingFollowed`] where no pose can be believed and
-/// [`Error::UnknownCovariance`] where that is not known; [`Error::GyroContradicts`] where images turn another way than the gyroscope says, and
-/// [`Error::ImuGap`] where pauses of the IMU leave no part of the walk that is long enough.
+/// [`Error::UnknownCovariance`] where that is not known; [`Error::GyroContradicts`] where images turn another way than the gyroscope says,
+/// [`Error::FrozenSensor`] where a sensor of the IMU repeats itself, and [`Error::ImuGap`] where pauses of the IMU leave no part of the walk that is long enough.
 pub fn motion_of_recording(
     recording: &Recording,
     rig: &Rig,
@@ -120,12 +121,14 @@ fn follow(
     if names.is_empty() {
         return Err(missing("camera"));
     }
-    let (imu, damaged_samples) = read_imu(recording)?;
+    let (mut imu, damaged_samples) = read_imu(recording)?;
     if imu.is_empty() {
         return Err(missing("IMU"));
     }
+    let frozen_secs = frozen_samples::take_out(&mut imu)?;
     let mut read = Read {
         damaged_samples,
+        frozen_secs,
         ..Read::default()
     };
     let total = total_images(recording, &names);

@@ -21,6 +21,7 @@ pub(super) struct Read {
     pub damaged_samples: u64,
     pub repeated_stamps: u64,
     pub frozen_images: u64,
+    pub frozen_secs: f64,
 }
 
 /// What the stage says about its own result.
@@ -136,6 +137,7 @@ impl MotionReport {
                 .map(|samples| GroundTruthWarning::DamagedSamples { samples }),
             some(read.repeated_stamps).map(|images| GroundTruthWarning::RepeatedStamps { images }),
             some(read.frozen_images).map(|images| GroundTruthWarning::FrozenImages { images }),
+            GroundTruthWarning::of_frozen_samples(read.frozen_secs),
         ];
         Self {
             images: read.images,
@@ -231,17 +233,10 @@ impl MotionReport {
 
     /// A camera that is not as the rig file says, and so far from it that the motion is bent by it, fails.
     fn of_camera(&self, camera: &CameraRefinement) -> Finding {
-        let off = camera.largest_sigmas;
-        if off <= UNLIKELY_SIGMAS {
-            return camera.finding();
+        match camera.largest_sigmas <= UNLIKELY_SIGMAS {
+            true => camera.finding(),
+            false => camera.off(self.max_camera_off_sigmas),
         }
-        let found = camera.clone();
-        let mut finding = GroundTruthWarning::CameraOff { found }.finding();
-        if off > self.max_camera_off_sigmas {
-            finding.verdict = Verdict::Fail;
-            finding.limit = Some(Limit::AtMost(self.max_camera_off_sigmas));
-        }
-        finding
     }
 }
 

@@ -1,0 +1,106 @@
+//! Why a walk is refused, as far as it can be told: what looks like a poor map may be an IMU that is not as it says, or another place.
+
+use std::path::Path;
+
+use lsfb_perception::statistics::median;
+use lsfb_types::{Finding, Verdict};
+
+use super::GroundTruthConfig;
+use super::accel_axes::misread_axis;
+use super::imu_refinement::ImuRefinement;
+use super::in_view::InView;
+use super::report::LeftOutReason;
+use super::start::Start;
+use super::trusted::Trusted;
+use super::walk::Walk;
+use crate::Error;
+
+/// What is known of a solved walk that may be refused.
+pub(super) struct Judged<'a> {
+    pub path: &'a Path,
+    pub walk: &'a Walk,
+    pub start: &'a Start,
+    pub imu: &'a ImuRefinement,
+    pub trusted: &'a Trusted,
+    /// What was found of the points that should be in view, in all of the walk.
+    pub in_view: &'a InView,
+    pub disagreements_m: &'a [f64],
+}
+
+impl Judged<'_> {
+    /// Why nothing of the walk may be given, if so.
+    pub fn refusal(&self, config: &GroundTruthConfig) -> Option<Error> {
+        let path = || self.path.to_owned();
+        let (recognised, frames) = (self.start.accepted_count, self.walk.frames.len());
+        let moved_m = || median(self.disagreements_m.to_vec()).unwrap_or(f64::INFINITY);
+        let is_few = (recognised as f64) < config.min_recognised_share * frames as f64;
+        let is_unchecked = is_few && !self.in_view.is_judged();
+        if !is_unchecked && !self.trusted.poses.is_empty() {
+            return None;
+        }
+        if let Some(misread) = misread_axis(self.walk) {
+            return Some(misread.refusal(self.path));
+        }
+        let reason = self.trusted.main_reason();
+        if reason == Some(LeftOutReason::MapPartsDisagree)
+            && let Some(imu) = self.failed_imu()
+        {
+            return Some(Error::ImuContradicts {
+                path: path(),
+                frames,
+                moved_m: moved_m(),
+                imu,
+            });
+        }
+        Some(match reason {
+            _ if is_unchecked => Error::FewRecognised {
+                path: path(),
+                recognised,
+                frames,
+                needed_share: config.min_recognised_share,
+                moved_m: moved_m(),
+                certain: self.in_view.certain(),
+                absent: self.in_view.absent,
+            },
+            // Of another floor parts of the map disagree as well, and that much is absent says why.
+            Some(LeftOutReason::PointsAbsent | LeftOutReason::MapPartsDisagree)
+                if self.in_view.is_doubtful(config) =>
+            {
+                self.points_absent(config)
+            }
+            Some(LeftOutReason::MapPartsDisagree) => Error::MapPartsDisagree {
+                path: path(),
+                frames,
+                moved_m: moved_m(),
+                limit_m: config.max_disagreement_m,
+            },
+            Some(LeftOutReason::PointsAbsent) => self.points_absent(config),
+            _ => Error::NothingCertain {
+                path: path(),
+                frames,
+                limit_m: config.max_position_sigma_m,
+            },
+        })
+    }
+
+    fn points_absent(&self, config: &GroundTruthConfig) -> Error {
+        Error::PointsAbsent {
+            path: self.path.to_owned(),
+            certain: self.in_view.certain(),
+            absent: self.in_view.absent,
+            limit: config.max_absent_share,
+        }
+    }
+
+    /// What is wrong with the IMU so far that the walk fails by it alone.
+    fn failed_imu(&self) -> Option<String> {
+        let findings = self.imu.findings().into_iter();
+        let failed: Vec<Finding> = findings.filter(|f| f.verdict == Verdict::Fail).collect();
+        let said = failed.iter().map(|f| match &f.remedy {
+            Some(remedy) => format!("{}; {remedy}", f.what),
+            None => f.what.clone(),
+        });
+        let said: Vec<String> = said.collect();
+        (!said.is_empty()).then(|| said.join("; "))
+    }
+}
