@@ -1,8 +1,6 @@
 use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3};
 use nalgebra::{Matrix3x2, Quaternion, SVector, UnitVector3};
 
-use crate::evaluation::squared_norm;
-
 /// The kind of value a parameter block holds: numbers that are stored, and a tangent space that is searched.
 ///
 /// Perturbation is on the right, `x * exp(delta)`; for vectors it is addition. The problem stores the numbers.
@@ -54,7 +52,7 @@ impl Shape {
 }
 
 fn norm(delta: &[f64]) -> f64 {
-    squared_norm(delta).sqrt()
+    delta.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 fn load_rotation(stored: &[f64]) -> UnitQuaternion<f64> {
@@ -285,6 +283,23 @@ mod tests {
             &delta,
         );
         assert_eq!(<(Vector3<f64>, Se3)>::tangent_name(3), "rotation x");
+    }
+
+    #[test]
+    fn poses_tell_their_turn_and_turn_translations_alone() {
+        let pose = Se3::exp(&Vector6::new(0.4, 0.1, -0.9, 3.0, 2.0, 1.0));
+        let delta = [0.3, 0.4, 0.0, 1.0, -2.0, 0.7];
+        assert!((Se3::turn(&delta) - 0.5).abs() < 1e-15);
+        assert_eq!(Vector3::turn(&delta[..3]), 0.0);
+        let mut rows = [delta, delta].concat();
+        pose.align(&mut rows, true);
+        let turned = pose.rotation * Vector3::new(1.0, -2.0, 0.7);
+        for row in rows.chunks(6) {
+            assert_eq!(row[..3], delta[..3]);
+            assert!((Vector3::from_column_slice(&row[3..]) - turned).norm() < 1e-14);
+        }
+        pose.align(&mut rows, false);
+        assert!((0..12).all(|k| (rows[k] - delta[k % 6]).abs() < 1e-14));
     }
 
     #[test]
