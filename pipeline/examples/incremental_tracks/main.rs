@@ -2,7 +2,7 @@
 //! that of a cold solve.
 //!
 //! ```text
-//! cargo run --release -p lsfb-pipeline --example incremental_tracks -- vi_tracks_seq90.tar.gz
+//! cargo run --release --workspace --example incremental_tracks -- vi_tracks_seq90.tar.gz
 //! ```
 //!
 //! The peer on the same tracks with the same factors is `benches/solver/isam2_tracks.py`.
