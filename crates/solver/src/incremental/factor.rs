@@ -170,10 +170,12 @@ impl Factor {
             first_column += n;
         }
         let mut update = std::mem::take(&mut self.update);
-        for k in 0..group.reached_by.len() {
-            let earlier = &self.groups[group.reached_by[k] as usize];
+        let reached_by = std::mem::take(&mut group.reached_by);
+        for earlier in &reached_by {
+            let earlier = &self.groups[*earlier as usize];
             self.subtract(earlier, steps, at, &mut group, &mut update);
         }
+        group.reached_by = reached_by;
         self.update = update;
         let (panel, forward) = (&mut group.panel[..], &mut group.forward[..]);
         let made = vectorized!(cholesky(panel, forward, group.width, height));

@@ -180,15 +180,14 @@ impl System {
             }
         }
         let at = steps.range(point).start;
-        let step = steps.of(point);
         let product = hessian.diagonal().product();
         let is_weak = !(hessian.determinant() > POINT_DAMPING * product);
         let share = if is_weak { POINT_DAMPING } else { 0.0 };
-        for d in 0..POINT {
+        for (d, step) in steps.of(point).iter().enumerate() {
             let damping = share * hessian[(d, d)];
             self.diagonal[at + d] = hessian[(d, d)];
             hessian[(d, d)] += damping;
-            gradient[d] -= damping * step[d];
+            gradient[d] -= damping * step;
         }
         state.gradient = gradient;
         let inverse = inverse_of_symmetric(&hessian);
@@ -229,13 +228,13 @@ impl System {
             );
         }
         column.forget(&mut self.found);
-        for k in 0..n {
+        for (k, right) in right_side.iter_mut().enumerate() {
             let entry = &mut column.values[k * n + k];
             let by_points = self.seen_diagonal[range.start + k] - seen.values[k * n + k];
             let diagonal = *entry + by_points;
             let damping = self.damping * diagonal.max(f64::MIN_POSITIVE);
             *entry += damping;
-            right_side[k] += damping * steps.of(block)[k];
+            *right += damping * steps.of(block)[k];
             self.diagonal[range.start + k] = diagonal;
         }
         self.columns[block] = column;
