@@ -101,7 +101,8 @@ pub struct UpdateReport {
 /// those it shares something with. Eliminated points, linearizations and columns that a change does not reach are used as
 /// they are. What is new is solved by itself first, and what hangs together with it moves afterwards: until then forces do
 /// not cancel, and would bend all of a long trajectory for nothing. Updates are as exact as their thresholds:
-/// [`Incremental::cost`] is that of a cold solve far within 1e-6 of it, but for open chains of a thousand poses and more.
+/// [`Incremental::cost`] is that of a cold solve far within 1e-6 of it, up to open chains of a thousand poses: in longer ones
+/// rounds may not end, and cold solves take over.
 pub struct Incremental {
     problem: Problem,
     config: IncrementalConfig,
