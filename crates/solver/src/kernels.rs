@@ -153,52 +153,6 @@ pub(crate) fn subtract_product<const FUSED: bool>(
 }
 
 #[inline(always)]
-fn subtract_wide_fixed<const FUSED: bool, const M: usize>(
-    target: &mut [f64],
-    left: &[f64],
-    right: &[f64],
-    n: usize,
-) {
-    let (targets, _) = target.as_chunks_mut::<M>();
-    let (lefts, _) = left.as_chunks::<M>();
-    for (c, target) in targets.iter_mut().take(n).enumerate() {
-        let mut sum = *target;
-        for (left, right) in lefts.iter().zip(right.chunks_exact(n)) {
-            for (s, l) in sum.iter_mut().zip(left) {
-                *s = multiply_add::<FUSED>(-*l, right[c], *s);
-            }
-        }
-        *target = sum;
-    }
-}
-
-/// `target -= left rightᵀ` for factors with any number of columns: `target` is `m × n`, all columns first.
-#[inline(always)]
-pub(crate) fn subtract_wide<const FUSED: bool>(
-    target: &mut [f64],
-    left: &[f64],
-    m: usize,
-    right: &[f64],
-    n: usize,
-) {
-    match m {
-        3 => subtract_wide_fixed::<FUSED, 3>(target, left, right, n),
-        6 => subtract_wide_fixed::<FUSED, 6>(target, left, right, n),
-        9 => subtract_wide_fixed::<FUSED, 9>(target, left, right, n),
-        _ => {
-            for (left, right) in left
-                .chunks_exact(m.max(1))
-                .zip(right.chunks_exact(n.max(1)))
-            {
-                for (target, factor) in target.chunks_exact_mut(m.max(1)).zip(right) {
-                    add_scaled::<FUSED>(target, left, -*factor);
-                }
-            }
-        }
-    }
-}
-
-#[inline(always)]
 fn multiply_inverse_fixed<const FUSED: bool, const N: usize>(
     target: &mut [f64],
     left: &[f64],
@@ -319,6 +273,42 @@ pub(crate) fn add_transposed_vector<const FUSED: bool>(
             {
                 *t += dot::<FUSED>(column, vector);
             }
+        }
+    }
+}
+
+/// `target += a aᵀ` of rows of a panel, columns first: `target` is `m × n`, from the diagonal down; `a` are the `m` rows from
+/// `from` on of columns of `height` each.
+#[inline(always)]
+pub(crate) fn add_lower_product<const FUSED: bool>(
+    target: &mut [f64],
+    panel: &[f64],
+    height: usize,
+    from: usize,
+    m: usize,
+    n: usize,
+) {
+    let columns = |k: usize| &panel[k * height + from..k * height + from + m];
+    let width = panel.len() / height.max(1);
+    let mut k = 0;
+    while k + 4 <= width {
+        let [x, y, z, w] = [columns(k), columns(k + 1), columns(k + 2), columns(k + 3)];
+        for (c, target) in target.chunks_exact_mut(m.max(1)).take(n).enumerate() {
+            let [a, b, d, e] = [x[c], y[c], z[c], w[c]];
+            let rows = x[c..].iter().zip(&y[c..]).zip(&z[c..]).zip(&w[c..]);
+            for (t, (((x, y), z), w)) in target[c..].iter_mut().zip(rows) {
+                let sum = multiply_add::<FUSED>(*x, a, *t);
+                let sum = multiply_add::<FUSED>(*y, b, sum);
+                let sum = multiply_add::<FUSED>(*z, d, sum);
+                *t = multiply_add::<FUSED>(*w, e, sum);
+            }
+        }
+        k += 4;
+    }
+    for k in k..width {
+        let x = columns(k);
+        for (c, target) in target.chunks_exact_mut(m.max(1)).take(n).enumerate() {
+            add_scaled::<FUSED>(&mut target[c..], &x[c..], x[c]);
         }
     }
 }

@@ -15,6 +15,14 @@ pub trait Manifold: Sized {
     fn store(&self, stored: &mut [f64]);
     /// `self * exp(delta)`, with [`Manifold::TANGENT`] numbers in `delta`.
     fn plus(&self, delta: &[f64]) -> Self;
+    /// Angle in radians by which [`Manifold::plus`] turns the frame in which `delta` is given: 0 where it is addition.
+    fn turn(_delta: &[f64]) -> f64 {
+        0.0
+    }
+    /// Turns the parts of tangent vectors that are given in the body frame, and are not angles, into the world's axes, or back
+    /// from them; `rows` are vectors one after the other. Where everything moves together such parts are alike for all then,
+    /// however each is turned. Nothing is turned for most manifolds.
+    fn align(&self, _rows: &mut [f64], _to_world: bool) {}
     /// What a component of the tangent is called in reports; empty where it has no name of its own.
     fn tangent_name(_component: usize) -> &'static str {
         ""
@@ -41,6 +49,10 @@ impl Shape {
             tangent: M::TANGENT,
         }
     }
+}
+
+fn norm(delta: &[f64]) -> f64 {
+    delta.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 fn load_rotation(stored: &[f64]) -> UnitQuaternion<f64> {
@@ -72,6 +84,23 @@ impl Manifold for Se3 {
         self.retract(&Vector6::from_column_slice(delta))
     }
 
+    fn turn(delta: &[f64]) -> f64 {
+        norm(&delta[..3])
+    }
+
+    fn align(&self, rows: &mut [f64], to_world: bool) {
+        let rotation = self.rotation_matrix();
+        let rotation = if to_world {
+            rotation
+        } else {
+            rotation.transpose()
+        };
+        for row in rows.chunks_exact_mut(Self::TANGENT) {
+            let turned = rotation * Vector3::from_column_slice(&row[3..]);
+            row[3..].copy_from_slice(turned.as_slice());
+        }
+    }
+
     fn tangent_name(component: usize) -> &'static str {
         let names = ROTATION_NAMES.iter().chain(&TRANSLATION_NAMES);
         names.copied().nth(component).unwrap_or("")
@@ -95,6 +124,10 @@ impl Manifold for UnitQuaternion<f64> {
         let mut rotation = so3::retract(self, &Vector3::from_column_slice(delta));
         rotation.renormalize_fast();
         rotation
+    }
+
+    fn turn(delta: &[f64]) -> f64 {
+        norm(delta)
     }
 
     fn tangent_name(component: usize) -> &'static str {
@@ -140,6 +173,10 @@ impl Manifold for UnitVector3<f64> {
             angle.sin() / angle
         };
         Self::new_normalize(self.into_inner() * angle.cos() + across * ratio)
+    }
+
+    fn turn(delta: &[f64]) -> f64 {
+        norm(delta)
     }
 
     fn tangent_name(component: usize) -> &'static str {
@@ -189,6 +226,19 @@ impl<A: Manifold, B: Manifold> Manifold for (A, B) {
         (self.0.plus(first), self.1.plus(second))
     }
 
+    fn turn(delta: &[f64]) -> f64 {
+        let (first, second) = delta.split_at(A::TANGENT);
+        A::turn(first).max(B::turn(second))
+    }
+
+    fn align(&self, rows: &mut [f64], to_world: bool) {
+        for row in rows.chunks_exact_mut(Self::TANGENT.max(1)) {
+            let (first, second) = row.split_at_mut(A::TANGENT);
+            self.0.align(first, to_world);
+            self.1.align(second, to_world);
+        }
+    }
+
     fn tangent_name(component: usize) -> &'static str {
         match component.checked_sub(A::TANGENT) {
             Some(second) => B::tangent_name(second),
@@ -233,6 +283,23 @@ mod tests {
             &delta,
         );
         assert_eq!(<(Vector3<f64>, Se3)>::tangent_name(3), "rotation x");
+    }
+
+    #[test]
+    fn poses_tell_their_turn_and_turn_translations_alone() {
+        let pose = Se3::exp(&Vector6::new(0.4, 0.1, -0.9, 3.0, 2.0, 1.0));
+        let delta = [0.3, 0.4, 0.0, 1.0, -2.0, 0.7];
+        assert!((Se3::turn(&delta) - 0.5).abs() < 1e-15);
+        assert_eq!(Vector3::turn(&delta[..3]), 0.0);
+        let mut rows = [delta, delta].concat();
+        pose.align(&mut rows, true);
+        let turned = pose.rotation * Vector3::new(1.0, -2.0, 0.7);
+        for row in rows.chunks(6) {
+            assert_eq!(row[..3], delta[..3]);
+            assert!((Vector3::from_column_slice(&row[3..]) - turned).norm() < 1e-14);
+        }
+        pose.align(&mut rows, false);
+        assert!((0..12).all(|k| (rows[k] - delta[k % 6]).abs() < 1e-14));
     }
 
     #[test]

@@ -74,6 +74,8 @@ pub(crate) struct BlockEntry {
     /// Role when it is not held constant.
     pub role_when_free: Role,
     pub plus: fn(&[f64], &[f64], &mut [f64]),
+    pub turn: fn(&[f64]) -> f64,
+    pub align: fn(&[f64], &mut [f64], bool),
     pub tangent_name: fn(usize) -> &'static str,
     /// Bit `k` is set where component `k` of the tangent is searched.
     pub mask: u64,
@@ -164,6 +166,8 @@ impl Problem {
             role,
             role_when_free: role,
             plus: |x, delta, out| M::load(x).plus(delta).store(out),
+            turn: M::turn,
+            align: |x, rows, to_world| M::load(x).align(rows, to_world),
             tangent_name: M::tangent_name,
             mask: ALL,
         });

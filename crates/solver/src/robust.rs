@@ -60,6 +60,24 @@ impl Kernel {
         }
     }
 
+    /// Share by which curvature along the residual falls short of that across it, `1 + 2 s ρ''/ρ'` taken away from 1, at
+    /// the squared norm `s` (Triggs et al., Bundle Adjustment – A Modern Synthesis, 2000, eq. 11): 0 where the kernel is
+    /// quadratic, more than 1 where it is not convex.
+    pub(crate) fn shortfall(&self, s: f64) -> f64 {
+        match *self {
+            Kernel::Squared => 0.0,
+            Kernel::Huber { scale } => f64::from(u8::from(s > scale * scale)),
+            Kernel::Cauchy { scale } => {
+                let ratio = s / (scale * scale);
+                2.0 * ratio / (1.0 + ratio)
+            }
+            Kernel::GemanMcClure { scale } => {
+                let ratio = s / (scale * scale);
+                4.0 * ratio / (1.0 + ratio)
+            }
+        }
+    }
+
     /// `ρ` and `ρ'` at the squared norm `s`.
     pub fn at(&self, s: f64) -> Robust {
         match *self {
@@ -118,6 +136,12 @@ mod tests {
                     (slope - kernel.at(s).weight).abs() < 1e-7,
                     "{kernel:?} at {s}"
                 );
+            }
+            for s in [0.01, 0.5, 1.6, 1.8, 10.0, 1e4] {
+                let h = 1e-6 * s;
+                let bend = (kernel.at(s + h).weight - kernel.at(s - h).weight) / (2.0 * h);
+                let shortfall = -2.0 * s * bend / kernel.at(s).weight;
+                assert!((shortfall - kernel.shortfall(s)).abs() < 1e-6);
             }
             let tiny = kernel.at(1e-9);
             assert!((tiny.cost - 1e-9).abs() < 1e-17 && (tiny.weight - 1.0).abs() < 1e-8);

@@ -2,7 +2,7 @@
 //! that of a cold solve.
 //!
 //! ```text
-//! cargo run --release -p lsfb-pipeline --example incremental_tracks -- vi_tracks_seq90.tar.gz
+//! cargo run --release --workspace --example incremental_tracks -- vi_tracks_seq90.tar.gz
 //! ```
 //!
 //! The peer on the same tracks with the same factors is `benches/solver/isam2_tracks.py`.
@@ -19,6 +19,7 @@ use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use lsfb_solver::{Diagnosis, IncrementalConfig, SolveConfig, UpdateReport, solve};
 
 use growing::Growing;
+use nix::time::{ClockId, clock_gettime};
 use tracks::Tracks;
 
 /// Keyframes between two comparisons with a cold solve.
@@ -87,9 +88,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// CPU time of this thread so far, which does not count what else runs on the machine.
 fn cpu_ms() -> Result<f64, Box<dyn Error>> {
-    let times = std::fs::read_to_string("/proc/thread-self/schedstat")?;
-    let nanos: u64 = times.split_whitespace().next().ok_or("no times")?.parse()?;
-    Ok(1e-6 * nanos as f64)
+    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID)?;
+    Ok(1e3 * time.tv_sec() as f64 + 1e-6 * time.tv_nsec() as f64)
 }
 
 /// How far an incremental solution is from a cold one.

@@ -40,6 +40,10 @@ impl Manifold for BalCamera {
         }
     }
 
+    fn turn(delta: &[f64]) -> f64 {
+        UnitQuaternion::turn(&delta[..3])
+    }
+
     fn tangent_name(component: usize) -> &'static str {
         let names = [
             "rotation x",

@@ -8,6 +8,11 @@ use lsfb_solver::{
 };
 
 fn cold(walk: &Walk, added: &Added, keyframes: usize) -> f64 {
+    cold_with_last(walk, added, keyframes).0
+}
+
+/// Cost of a cold solve, and where it has the last keyframe.
+fn cold_with_last(walk: &Walk, added: &Added, keyframes: usize) -> (f64, Se3) {
     let mut problem = Problem::new();
     let mut again = Added::default();
     for _ in 0..keyframes {
@@ -21,7 +26,8 @@ fn cold(walk: &Walk, added: &Added, keyframes: usize) -> f64 {
         diagnosis: Diagnosis::Off,
         ..SolveConfig::default()
     };
-    solve(&mut problem, &config).expect("solves").final_cost
+    let cost = solve(&mut problem, &config).expect("solves").final_cost;
+    (cost, problem.value(again.poses[keyframes - 1]))
 }
 
 #[test]
@@ -54,6 +60,39 @@ fn the_cost_of_a_growing_walk_is_that_of_a_cold_solve() {
     let end = added.poses[79];
     let error = walk.truth[79].inverse() * growing.value(end);
     assert!(error.translation.norm() < 0.1, "{error:?}");
+}
+
+#[test]
+fn work_does_not_grow_with_the_walk() {
+    for seed in [6, 7] {
+        let walk = Walk::new(300, 40, seed);
+        let mut growing =
+            Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+        let mut added = Added::default();
+        let mut reports = Vec::new();
+        // The loop closes behind the last of these.
+        for _ in 0..270 {
+            added
+                .add(&walk, &mut Target::Growing(&mut growing), None)
+                .expect("blocks fit");
+            reports.push(growing.update().expect("updates"));
+        }
+        let work = |range: std::ops::Range<usize>| {
+            let reports = &reports[range];
+            let residuals: usize = reports.iter().map(|r| r.relinearized_residuals).sum();
+            let columns: usize = reports.iter().map(|r| r.factored_columns).sum();
+            [residuals, columns].map(|sum| sum as f64 / reports.len() as f64)
+        };
+        let (early, late) = (work(50..100), work(220..270));
+        for (early, late) in early.iter().zip(&late) {
+            assert!(*late < 1.3 * early, "{early} {late}");
+        }
+        let (expected, last) = cold_with_last(&walk, &added, 270);
+        let apart = growing.cost() / expected - 1.0;
+        assert!(apart.abs() < 1e-7, "{apart:.1e}");
+        let moved = growing.value(added.poses[269]).translation - last.translation;
+        assert!(moved.norm() < 2e-3, "{:.1e} m", moved.norm());
+    }
 }
 
 #[test]

@@ -1,0 +1,323 @@
+//! Linear models of residuals, each made where its blocks were at the time, and how far they can be trusted.
+
+use crate::evaluation::squared_norm;
+use crate::problem::{Problem, ResidualId};
+use crate::residual::{CONSTANT, Linearization, NO_PAIR, Parameters, Slot};
+use crate::{Error, Kernel, Undefined};
+
+use super::steps::{Part, Steps, align};
+
+/// Share of the curvature along a residual that is kept at least, as a root: what makes the normal matrix positive where a
+/// kernel is linear.
+const LEAST_ROOT: f64 = 0.1;
+
+/// Share of its norm that a residual may change by between two linearizations if its kernel's curvature is to be used: far
+/// from the optimum it says nothing.
+const SETTLED: f64 = 0.1;
+
+/// How far a residual may be from where it was linearized, in its own unit, which is one standard deviation.
+#[derive(Clone, Copy)]
+pub(super) struct Trust {
+    /// Change of the residual.
+    pub change: f64,
+    /// Change of its gradient that the model does not foresee, by the kernel alone.
+    pub kernel: f64,
+    /// Whether residuals that are undefined are tried again.
+    pub tries_undefined: bool,
+}
+
+/// One residual: `½ ‖b + J s‖²` over the steps `s` of its blocks.
+#[derive(Clone, Copy, Default)]
+struct Model {
+    slots: [u32; 2],
+    /// First of its numbers: `b`, the Jacobians of its blocks, each row by row, and `J s` where it was linearized.
+    start: usize,
+    dimension: usize,
+    /// Length of `b` and Jacobians.
+    length: usize,
+    /// Root of the kernel's weight; 0 where the residual was never linearized or is undefined.
+    root: f64,
+    /// What is taken away from the Jacobian along the residual, as a share.
+    bend: f64,
+    /// Norm where it was linearized, before weighting.
+    norm: f64,
+    cost: f64,
+    /// Sum of its Jacobians' entries before weighting, and whether the last linearization found the same: such a residual is
+    /// linear, and its model true wherever its blocks are.
+    sum: f64,
+    is_linear: bool,
+}
+
+/// All residuals, by their numbers in the problem.
+#[derive(Default)]
+pub(super) struct Models {
+    models: Vec<Model>,
+    slots: Vec<Slot>,
+    numbers: Vec<f64>,
+    scratch: Vec<f64>,
+}
+
+/// `target = J s`, of the Jacobians in a record.
+fn product(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
+    target.fill(0.0);
+    for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
+        let step = steps.of(slot.block as usize);
+        let rows = &record[slot.jacobian as usize..];
+        match step.len() {
+            3 => product_fixed::<3>(rows, step, target),
+            6 => product_fixed::<6>(rows, step, target),
+            n => {
+                for (t, row) in target.iter_mut().zip(rows.chunks_exact(n.max(1))) {
+                    *t += row.iter().zip(step).map(|(j, s)| j * s).sum::<f64>();
+                }
+            }
+        }
+    }
+}
+
+fn product_fixed<const N: usize>(rows: &[f64], step: &[f64], target: &mut [f64]) {
+    let (rows, _) = rows.as_chunks::<N>();
+    let Some(step) = step.first_chunk::<N>() else {
+        return;
+    };
+    for (t, row) in target.iter_mut().zip(rows) {
+        *t += row.iter().zip(step).map(|(j, s)| j * s).sum::<f64>();
+    }
+}
+
+/// Takes the share `bend` away from the Jacobians along the residual.
+fn bend(record: &mut [f64], slots: &[Slot], steps: &Steps, dimension: usize, bend: f64) {
+    let (residual, jacobians) = record.split_at_mut(dimension);
+    let share = bend / squared_norm(residual);
+    for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
+        let n = steps.dimension(slot.block as usize);
+        let jacobian = &mut jacobians[slot.jacobian as usize - dimension..][..dimension * n];
+        for c in 0..n {
+            let rows = residual.iter().enumerate();
+            let along: f64 = rows.map(|(r, x)| x * jacobian[r * n + c]).sum();
+            for (r, x) in residual.iter().enumerate() {
+                jacobian[r * n + c] -= share * along * x;
+            }
+        }
+    }
+}
+
+impl Models {
+    /// Makes room for what the problem has more.
+    pub fn grow(&mut self, problem: &Problem) {
+        self.models
+            .resize(problem.residuals.len(), Model::default());
+    }
+
+    /// Whether a residual was registered, and not removed since.
+    pub fn is_known(&self, k: usize) -> bool {
+        self.models.get(k).is_some_and(|m| m.length > 0)
+    }
+
+    /// Registers a residual whose blocks are finite.
+    pub fn register(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
+        let dimension = problem.residuals[k].dimension;
+        let first = self.slots.len();
+        let mut next = dimension;
+        for block in problem.blocks_of(ResidualId(k)) {
+            let entry = &problem.blocks[block.0];
+            let stored = &problem.values[entry.start..entry.start + entry.shape.stored];
+            if !stored.iter().all(|x| x.is_finite()) {
+                self.slots.truncate(first);
+                return Err(Error::BlockNotFinite { block: block.0 });
+            }
+            let is_held = steps.part(block.0) == Part::Held;
+            let jacobian = if is_held { CONSTANT } else { next as u32 };
+            if !is_held {
+                next += dimension * entry.free();
+            }
+            self.slots.push(Slot {
+                value: entry.start,
+                mask: entry.mask,
+                block: block.0 as u32,
+                jacobian,
+                pair: NO_PAIR,
+                couplings: [0; 2],
+            });
+        }
+        self.models[k] = Model {
+            slots: [first as u32, self.slots.len() as u32],
+            start: self.numbers.len(),
+            dimension,
+            length: next,
+            ..Model::default()
+        };
+        self.numbers
+            .resize(self.numbers.len() + next + dimension, 0.0);
+        Ok(())
+    }
+
+    /// A residual is no longer there.
+    pub fn forget(&mut self, k: usize) {
+        if let Some(model) = self.models.get_mut(k) {
+            *model = Model::default();
+        }
+    }
+
+    /// Rows of a residual, where its blocks lie, and its numbers: `b`, then the Jacobians.
+    pub fn model(&self, k: usize) -> (usize, &[Slot], &[f64]) {
+        let model = &self.models[k];
+        (
+            model.dimension,
+            &self.slots[model.slots[0] as usize..model.slots[1] as usize],
+            &self.numbers[model.start..model.start + model.length],
+        )
+    }
+
+    /// Cost of a residual where it was linearized last; `None` where it never was, or is undefined.
+    pub fn cost(&self, k: usize) -> Option<f64> {
+        let model = &self.models[k];
+        (model.root > 0.0).then_some(model.cost)
+    }
+
+    /// Linearizes a residual at the problem's values, to which the steps led.
+    pub fn linearize(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
+        let entry = &problem.residuals[k];
+        let model = &mut self.models[k];
+        let Some(residual) = &entry.residual else {
+            return Ok(());
+        };
+        let slots = &self.slots[model.slots[0] as usize..model.slots[1] as usize];
+        let end = model.start + model.length;
+        let numbers = &mut self.numbers[model.start..end + model.dimension];
+        let (record, shift) = numbers.split_at_mut(model.length);
+        let parameters = Parameters {
+            values: &problem.values,
+            slots,
+        };
+        let mut out = Linearization {
+            record,
+            slots,
+            with_jacobians: true,
+        };
+        if residual.evaluate(&parameters, &mut out) == Err(Undefined) {
+            // It keeps the cost it had, and pulls at nothing.
+            record.fill(0.0);
+            shift.fill(0.0);
+            model.root = 0.0;
+            return Ok(());
+        }
+        if !record.iter().all(|x| x.is_finite()) {
+            let blocks = problem.blocks_of(ResidualId(k)).iter();
+            return Err(Error::ResidualNotFinite {
+                residual: k,
+                blocks: blocks.map(|b| b.0).collect(),
+            });
+        }
+        for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
+            let block = slot.block as usize;
+            let length = model.dimension * steps.dimension(block);
+            let rows = &mut record[slot.jacobian as usize..][..length];
+            align(problem, block, rows, true);
+        }
+        let squared = squared_norm(&record[..model.dimension]);
+        let sum = record[model.dimension..].iter().sum();
+        model.is_linear = model.root > 0.0 && sum == model.sum && entry.kernel == Kernel::Squared;
+        model.sum = sum;
+        let (robust, norm) = (entry.kernel.at(squared), squared.sqrt());
+        let is_settled = model.root > 0.0 && (norm - model.norm).abs() < SETTLED * norm;
+        model.bend = if is_settled {
+            let kept = (1.0 - entry.kernel.shortfall(squared)).max(0.0).sqrt();
+            1.0 - kept.max(LEAST_ROOT)
+        } else {
+            0.0
+        };
+        model.root = robust.weight.sqrt();
+        model.norm = norm;
+        model.cost = 0.5 * robust.cost;
+        if model.bend > 0.0 {
+            bend(record, slots, steps, model.dimension, model.bend);
+        }
+        if model.root != 1.0 {
+            record.iter_mut().for_each(|x| *x *= model.root);
+        }
+        product(record, slots, steps, shift);
+        for (b, shift) in record.iter_mut().zip(&*shift) {
+            *b = *b / (1.0 - model.bend) - shift;
+        }
+        Ok(())
+    }
+
+    /// Whether the model of a residual cannot be trusted any more where the steps are now.
+    pub fn is_stale(&mut self, problem: &Problem, steps: &Steps, k: usize, trust: Trust) -> bool {
+        let model = &self.models[k];
+        if model.length == 0 || model.is_linear {
+            return false;
+        }
+        if model.root == 0.0 {
+            return trust.tries_undefined;
+        }
+        let slots = &self.slots[model.slots[0] as usize..model.slots[1] as usize];
+        let record = &self.numbers[model.start..model.start + model.length];
+        let shift = &self.numbers[model.start + model.length..][..model.dimension];
+        self.scratch.resize(model.dimension, 0.0);
+        product(record, slots, steps, &mut self.scratch);
+        let change = &mut self.scratch[..];
+        change.iter_mut().zip(shift).for_each(|(c, s)| *c -= s);
+        if model.bend == 0.0 && squared_norm(change) > trust.change * trust.change {
+            return true;
+        }
+        // The weighted residual where it was linearized is `before`, the kernel bends along `unit`.
+        let (kept, length) = (1.0 - model.bend, model.norm * model.root);
+        let before = |row: usize| (record[row] + shift[row]) * kept;
+        let unit = |row: usize| {
+            if length > 0.0 {
+                before(row) / length
+            } else {
+                0.0
+            }
+        };
+        let rows = 0..model.dimension;
+        let along: f64 = rows.clone().map(|row| unit(row) * change[row]).sum();
+        let whole = |row: usize| change[row] + model.bend / kept * along * unit(row);
+        let moved: f64 = rows.clone().map(|row| whole(row).powi(2)).sum();
+        if moved > trust.change * trust.change {
+            return true;
+        }
+        // Derivatives by the weighted residual: of the kernel's cost there, and of the model.
+        let weight = model.root * model.root;
+        let after = rows.clone().map(|row| before(row) + whole(row));
+        let after = after.map(|x| x * x).sum::<f64>() / weight;
+        let ratio = problem.residuals[k].kernel.at(after).weight / weight;
+        let error = rows.map(|row| {
+            let foreseen = before(row) + change[row] - model.bend * along * unit(row);
+            (ratio * (before(row) + whole(row)) - foreseen).powi(2)
+        });
+        error.sum::<f64>() > trust.kernel * trust.kernel
+    }
+
+    /// Cost of a residual at other values; `None` where it is undefined or removed.
+    pub fn cost_at(problem: &Problem, k: usize, values: &[f64]) -> Option<f64> {
+        let entry = &problem.residuals[k];
+        let slots: Vec<Slot> = problem
+            .blocks_of(ResidualId(k))
+            .iter()
+            .map(|block| Slot {
+                value: problem.blocks[block.0].start,
+                mask: 0,
+                block: block.0 as u32,
+                jacobian: CONSTANT,
+                pair: NO_PAIR,
+                couplings: [0; 2],
+            })
+            .collect();
+        let mut record = vec![0.0; entry.dimension];
+        let mut out = Linearization {
+            record: &mut record,
+            slots: &slots,
+            with_jacobians: false,
+        };
+        let parameters = Parameters {
+            values,
+            slots: &slots,
+        };
+        let residual = entry.residual.as_ref()?;
+        residual.evaluate(&parameters, &mut out).ok()?;
+        Some(0.5 * entry.kernel.at(squared_norm(&record)).cost)
+    }
+}

@@ -1,0 +1,353 @@
+//! Rounds of an update: linearize what is new or no longer true, solve, see what that moved.
+
+use crate::problem::{Problem, ResidualId};
+use crate::{Error, IncrementalConfig, UpdateReport};
+
+use super::factor::Factor;
+use super::marks::Marks;
+use super::models::{Models, Trust};
+use super::steps::{Part, Steps};
+use super::system::System;
+
+/// A round went wrong if it raises the cost of the residuals that it linearizes anew to more than this many times what it was
+/// and one more.
+const MOST_RAISE: f64 = 2.0;
+
+/// Groups before the first that an update reached that are moved with it from the first: others wait until it is solved by
+/// itself. Before that, forces between what is new do not cancel yet, and would bend everything that hangs together with it.
+const MARGIN: usize = 24;
+
+/// One of so many points of a block is looked at before the others, where it has at least twice as many.
+const SAMPLED: usize = 8;
+
+/// Residuals that are undefined are tried again in so many rounds of each update.
+const ROUNDS_FOR_UNDEFINED: usize = 2;
+
+/// Everything that is kept from update to update.
+#[derive(Default)]
+pub(super) struct Kept {
+    pub steps: Steps,
+    pub models: Models,
+    pub system: System,
+    factor: Factor,
+    /// Steps of blocks when all their residuals, and those without points, were linearized last for their turning, and when
+    /// they were looked at last.
+    turned_from: Vec<f64>,
+    bare_turned_from: Vec<f64>,
+    looked_from: Vec<f64>,
+    /// Scratch of a round.
+    stale: Marks,
+    points: Marks,
+    blocks: Marks,
+    /// Blocks whose points were eliminated anew.
+    reached: Marks,
+    moved: Marks,
+    looked_at: Marks,
+    sampled: Vec<usize>,
+    updates: usize,
+    /// First group that this update reached, and that its first round did.
+    first: usize,
+    near_first: usize,
+}
+
+impl Kept {
+    pub fn new(config: &IncrementalConfig) -> Self {
+        Self {
+            system: System::new(config.damping),
+            ..Self::default()
+        }
+    }
+
+    /// Writes where a block is.
+    pub fn estimate_of(&self, problem: &Problem, block: usize, stored: &mut [f64]) {
+        if self.steps.part(block) == Part::Point {
+            let step = self.system.point_step(&self.steps, block);
+            self.steps.moved_to(problem, block, step.as_slice(), stored);
+            return;
+        }
+        let entry = &problem.blocks[block];
+        stored.copy_from_slice(&problem.values[entry.start..entry.start + entry.shape.stored]);
+    }
+
+    /// Takes in new residuals and blocks that lost some, and solves. Whether it came to an end.
+    pub fn update(
+        &mut self,
+        problem: &mut Problem,
+        config: &IncrementalConfig,
+        new: &Marks,
+        touched: &Marks,
+        report: &mut UpdateReport,
+    ) -> Result<bool, Error> {
+        self.take_in(problem, new, touched)?;
+        let mut is_near = true;
+        for round in 1..=config.max_rounds {
+            report.rounds += 1;
+            report.relinearized_residuals += self.stale.all().len();
+            if !self.linearize(problem)? {
+                return Ok(false);
+            }
+            if round == 1 {
+                self.touch(touched);
+            }
+            self.reduce();
+            let changed = self.blocks.all();
+            let Some(first) = self.factor.update(&self.system, &self.steps, changed) else {
+                return Ok(false);
+            };
+            self.blocks.clear();
+            if round == 1 {
+                self.near_first = first;
+                self.first = first;
+            }
+            self.first = self.first.min(first);
+            report.columns = self.factor.groups();
+            report.factored_columns += report.columns - first;
+            let trust = Trust {
+                change: config.relinearize_above,
+                kernel: config.kernel_error_above,
+                tries_undefined: round <= ROUNDS_FOR_UNDEFINED,
+            };
+            if is_near {
+                self.solve(problem, config, self.first.saturating_sub(MARGIN));
+                self.look(problem, config, true, trust);
+                is_near = !self.stale.is_empty();
+            }
+            if !is_near {
+                self.solve(problem, config, 0);
+                self.look(problem, config, false, trust);
+            }
+            if self.stale.is_empty() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Solves for the steps back to group `last`, as far as anything moves.
+    fn solve(&mut self, problem: &mut Problem, config: &IncrementalConfig, last: usize) {
+        let groups = (last, self.first);
+        let (steps, moved) = (&mut self.steps, &mut self.moved);
+        self.factor.solve(
+            problem,
+            steps,
+            &self.system,
+            groups,
+            config.propagate_above,
+            moved,
+        );
+    }
+
+    /// Makes room, registers what is new, and brings the order of elimination up to date.
+    fn take_in(&mut self, problem: &Problem, new: &Marks, touched: &Marks) -> Result<(), Error> {
+        let count = problem.blocks.len();
+        self.updates += 1;
+        self.steps.begin();
+        self.steps.grow(problem);
+        self.models.grow(problem);
+        self.system.grow(count, &self.steps);
+        self.factor.grow(count);
+        self.turned_from.resize(self.steps.len(), 0.0);
+        self.bare_turned_from.resize(self.steps.len(), 0.0);
+        self.looked_from.resize(self.steps.len(), 0.0);
+        self.stale.clear();
+        self.points.clear();
+        self.blocks.clear();
+        self.moved.clear();
+        for k in new.all() {
+            let is_there = problem.residuals[*k].residual.is_some();
+            if is_there && !self.models.is_known(*k) {
+                self.models.register(problem, &self.steps, *k)?;
+                let blocks = problem.blocks_of(ResidualId(*k));
+                self.system.add_residual(&self.steps, blocks, *k);
+                self.stale.add(*k);
+            }
+        }
+        let (steps, system, factor) = (&self.steps, &self.system, &mut self.factor);
+        let gone = touched.all().iter().copied();
+        let gone: Vec<usize> = gone
+            .filter(|b| factor.has(*b) && !system.is_reduced(steps, *b))
+            .collect();
+        factor.remove(steps, &gone);
+        let new = self.stale.all().iter();
+        let blocks = new.flat_map(|k| problem.blocks_of(ResidualId(*k)));
+        let mut blocks: Vec<usize> = blocks
+            .map(|block| block.0)
+            .filter(|b| steps.part(*b) == Part::Reduced && !factor.has(*b))
+            .collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        factor.append(steps, &blocks);
+        Ok(())
+    }
+
+    /// Linearizes what is stale, and marks the points and blocks whose equations that changes. `false` where the cost rose.
+    fn linearize(&mut self, problem: &mut Problem) -> Result<bool, Error> {
+        // All residuals of a point are linearized together: from models made before and after everything turned, a point would
+        // be torn in two.
+        let mut next = 0;
+        while let Some(k) = self.stale.all().get(next).copied() {
+            next += 1;
+            for slot in self.models.model(k).1 {
+                let block = slot.block as usize;
+                match self.steps.part(block) {
+                    Part::Held => {}
+                    Part::Reduced => {
+                        self.blocks.add(block);
+                    }
+                    Part::Point => {
+                        if self.points.add(block) {
+                            let step = self.system.point_step(&self.steps, block);
+                            self.steps.set(problem, block, step.as_slice());
+                            for k in self.system.residuals_of(block) {
+                                self.stale.add(*k as usize);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        let (mut before, mut after) = (0.0, 0.0);
+        for k in self.stale.all() {
+            let old = self.models.cost(*k);
+            self.models.linearize(problem, &self.steps, *k)?;
+            if let Some(old) = old {
+                before += old;
+                after += self.models.cost(*k).unwrap_or(old);
+            }
+        }
+        self.stale.clear();
+        Ok(after <= MOST_RAISE * before + 1.0)
+    }
+
+    /// Marks blocks that lost residuals.
+    fn touch(&mut self, touched: &Marks) {
+        for block in touched.all() {
+            match self.steps.part(*block) {
+                Part::Held => {}
+                Part::Reduced => {
+                    self.blocks.add(*block);
+                }
+                Part::Point => {
+                    self.points.add(*block);
+                }
+            }
+        }
+    }
+
+    /// Brings points and reduced system up to date.
+    fn reduce(&mut self) {
+        for point in self.points.all() {
+            self.system
+                .eliminate(&self.models, &self.steps, *point, &mut self.reached);
+        }
+        for block in self.reached.all() {
+            self.blocks.add(*block);
+        }
+        let (steps, system) = (&self.steps, &self.system);
+        self.blocks.retain(|block| system.is_reduced(steps, block));
+        for block in self.blocks.all() {
+            let points_changed = self.reached.has(*block);
+            let place = self.factor.place();
+            self.system
+                .reduce(&self.models, &self.steps, place, *block, points_changed);
+        }
+        self.reached.clear();
+    }
+
+    /// Finds the residuals whose models are no longer true where the blocks have moved: near what is new, or anywhere.
+    fn look(
+        &mut self,
+        problem: &mut Problem,
+        config: &IncrementalConfig,
+        near: bool,
+        trust: Trust,
+    ) {
+        self.looked_at.clear();
+        let nearest = self.first.max(self.near_first.saturating_sub(MARGIN));
+        for block in self.moved.all() {
+            if near && self.factor.group(*block) < nearest {
+                continue;
+            }
+            let range = self.steps.range(*block);
+            let step = self.steps.of(*block);
+            let looked_from = &self.looked_from[range.clone()];
+            let limit = config.look_above;
+            if !self.system.differ(range.clone(), step, looked_from, limit) {
+                continue;
+            }
+            if !near {
+                self.looked_from[range.clone()].copy_from_slice(step);
+            }
+            let turned_from = &self.turned_from[range.clone()];
+            let turned = self.steps.turn_since(problem, *block, turned_from);
+            if !near && turned > config.turn_above {
+                self.turned_from[range.clone()].copy_from_slice(self.steps.of(*block));
+                for k in self.system.residuals_of(*block) {
+                    self.stale.add(*k as usize);
+                }
+            }
+            let turned_from = &self.bare_turned_from[range.clone()];
+            let turned = self.steps.turn_since(problem, *block, turned_from);
+            let is_turned = !near && turned > config.turn_alone_above;
+            if is_turned {
+                self.bare_turned_from[range.clone()].copy_from_slice(self.steps.of(*block));
+            }
+            for k in self.system.bare_of(*block) {
+                if is_turned {
+                    self.stale.add(*k as usize);
+                } else {
+                    self.looked_at.add(*k as usize);
+                }
+            }
+            let points = self.system.points_of(*block);
+            if near || points.len() < 2 * SAMPLED {
+                for point in points {
+                    self.points.add(*point as usize);
+                }
+            } else {
+                self.sampled.push(*block);
+            }
+        }
+        self.sample(problem, trust);
+        for point in self.points.all() {
+            let step = self.system.point_step(&self.steps, *point);
+            self.steps.set(problem, *point, step.as_slice());
+            for k in self.system.residuals_of(*point) {
+                self.looked_at.add(*k as usize);
+            }
+        }
+        self.points.clear();
+        for k in self.looked_at.all() {
+            if !self.stale.has(*k) && self.models.is_stale(problem, &self.steps, *k, trust) {
+                self.stale.add(*k);
+            }
+        }
+    }
+
+    /// Of blocks with many points, looks at some first, others in each update: where none of them has changed by more than it
+    /// may, the others are taken to be alike.
+    fn sample(&mut self, problem: &mut Problem, trust: Trust) {
+        for block in std::mem::take(&mut self.sampled) {
+            let points = self.system.points_of(block);
+            let mut is_stale = false;
+            for point in points {
+                let point = *point as usize;
+                if point % SAMPLED != self.updates % SAMPLED || self.points.has(point) {
+                    continue;
+                }
+                let step = self.system.point_step(&self.steps, point);
+                self.steps.set(problem, point, step.as_slice());
+                let mut of_point = self.system.residuals_of(point).iter();
+                is_stale |= of_point.any(|k| {
+                    self.models
+                        .is_stale(problem, &self.steps, *k as usize, trust)
+                });
+            }
+            if is_stale {
+                for point in points {
+                    self.points.add(*point as usize);
+                }
+            }
+        }
+    }
+}
