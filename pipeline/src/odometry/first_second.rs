@@ -6,7 +6,7 @@
 //! Nothing tells the velocity of a carrier that moves in its first scan until the second is there: undone with none at all, a scan at a metre a
 //! second is smeared by a decimetre, and all that follows is registered to it. And whether it stood in the first tenth of a second
 //! is known only later. So scans of the first second are kept, and where one tells that it did not stand the walk begins again, until
-//! the velocity at its start and that at which the scan is found agree.
+//! the velocity at its start and that at which the scan is found agree. Without an IMU that is so of turn and velocity together.
 
 use lsfb_geometry::{StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{Match, PosePrior, observability, register};
@@ -21,6 +21,12 @@ use crate::Error;
 const ROUNDS: usize = 6;
 /// Velocities that agree, m/s.
 const AGREE_M_S: f64 = 0.01;
+/// The same without an IMU: what registration makes of a scan in a tenth of a second; and of turns, rad/s.
+const EVEN_M_S: f64 = 0.05;
+const EVEN_RAD_S: f64 = 0.02;
+/// How much of what the next scan tells is taken at a time. A first scan that is undone too slowly is smeared, by nothing at its end and by
+/// all of its motion at its beginning, so the next is found half as much too far.
+const EVEN_SHARE: f64 = 2.0 / 3.0;
 /// Two scans further apart than this tell a mean velocity, not that of the first, where the first moved, seconds.
 const FAR_APART_S: f64 = 0.5;
 /// Of a velocity of which nothing is known, m/s.
@@ -61,8 +67,8 @@ impl FirstSecond {
         let mut step = odometry.take_scan(scan)?;
         let is_timed = scan.sample.points.iter().any(|p| p.time_offset_ns > 0);
         let stood = odometry.stands();
-        if matches!(odometry.motion, Motion::Inertial(_)) && (stood || is_timed) {
-            if !stood {
+        if stood || is_timed {
+            if !stood && matches!(odometry.motion, Motion::Inertial(_)) {
                 // How it got to the end of its first scan nobody knows yet.
                 step.poses.drain(..step.poses.len().saturating_sub(1));
             }
@@ -87,7 +93,11 @@ impl FirstSecond {
         scan: &Stamped<LidarScan>,
     ) -> Result<OdometryStep, Error> {
         if !self.stood {
-            if let Some((begun, anew)) = self.begun_again(scan, FAR_APART_S) {
+            let begun = match odometry.motion {
+                Motion::Inertial(_) => self.begun_again(scan, FAR_APART_S),
+                Motion::Constant { .. } => self.begun_evenly(scan),
+            };
+            if let Some((begun, anew)) = begun {
                 *odometry = begun;
                 return odometry.take_scan(scan).map(|step| step.instead_of(anew));
             }
@@ -155,6 +165,43 @@ impl FirstSecond {
                 }
                 return Some((begun, steps));
             }
+        }
+        None
+    }
+
+    /// The same without an IMU: it moved in the first scan as it did from there to the next. `None` also where it hardly moved.
+    fn begun_evenly(&self, next: &Stamped<LidarScan>) -> Option<(Odometry, Vec<OdometryStep>)> {
+        let apart_s = next.time.secs_since(self.first().time);
+        if !(apart_s > 0.0 && apart_s <= FAR_APART_S) {
+            return None;
+        }
+        let mut twist_per_s = Vector6::zeros();
+        for round in 0..=ROUNDS {
+            let mut begun = (*self.blank).clone();
+            if let Motion::Constant {
+                twist_per_s: of, ..
+            } = &mut begun.motion
+            {
+                *of = twist_per_s;
+            }
+            let first = begun.take_scan(self.first()).ok()?;
+            let mut found = begun.clone();
+            let step = found.take_scan(next).ok()?;
+            if step.outcome != StepOutcome::Registered {
+                return None;
+            }
+            let span_s = step.time.secs_since(first.time);
+            let moved = first.world_from_rig.local(&step.world_from_rig) / span_s;
+            let change = moved - twist_per_s;
+            let turned_rad_s = change.fixed_rows::<3>(0).norm();
+            let moved_m_s = change.fixed_rows::<3>(3).norm();
+            if round == 0 && turned_rad_s * span_s < TURNED_RAD && moved_m_s * span_s < MOVED_M {
+                return None;
+            }
+            if turned_rad_s < EVEN_RAD_S && moved_m_s < EVEN_M_S {
+                return Some((begun, vec![first]));
+            }
+            twist_per_s += change * EVEN_SHARE;
         }
         None
     }

@@ -262,7 +262,8 @@ impl Odometry {
             Some(find) => find.registration,
             None => self.register(&reduced, &path),
         };
-        if let (Motion::Constant { .. }, true) = (&self.motion, end > scan.time) {
+        if let (Motion::Constant { .. }, true, Some(_)) = (&self.motion, end > scan.time, self.last)
+        {
             // Without an IMU a first pass finds the motion by which the second deskews.
             path = constant_path(self.last, scan.time, end, &found.world_from_rig);
             reduced = self.reduce(scan, &path);
@@ -344,12 +345,18 @@ impl Odometry {
                 twist_per_s,
                 covariance,
             } => {
-                let predicted = self.last.map_or_else(Se3::identity, |last| {
-                    let secs = end.secs_since(last.time);
-                    let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
-                    covariance.predict(&last.world_from_rig, &predicted, secs);
-                    predicted
-                });
+                let Some(last) = self.last else {
+                    // The end of the first scan is the world's origin.
+                    let back = -*twist_per_s * end.secs_since(start);
+                    let begin = StampedPose {
+                        time: start,
+                        world_from_rig: Se3::identity().retract(&back),
+                    };
+                    return Ok(constant_path(Some(begin), start, end, &Se3::identity()));
+                };
+                let secs = end.secs_since(last.time);
+                let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
+                covariance.predict(&last.world_from_rig, &predicted, secs);
                 Ok(constant_path(self.last, start, end, &predicted))
             }
         }

@@ -115,7 +115,7 @@ fn judge(
     let aligned_estimate: Vec<StampedPose> =
         estimate.iter().map(|p| moved(p, &alignment)).collect();
     let of_pairs = covariances_of(&pairs, estimate, covariances);
-    let consistency = consistency(&aligned, &of_pairs, alignment.scale);
+    let consistency = consistency(&aligned, &of_pairs, config.alignment, alignment.scale);
     if consistency.is_none() && !of_pairs.is_empty() {
         findings.push(remarks::no_covariance(of_pairs.len()));
     }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::Threshold;
 use crate::pairs::PairSelection;
-use lsfb_geometry::{Se3, Vector3, Vector6};
+use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6};
 use lsfb_types::{Timestamp, Verdict};
 
 const STEP_NANOS: i64 = 100_000_000;
@@ -445,18 +445,57 @@ fn recall_counts_what_is_missing() {
     assert_eq!(found.coverage.missing_end_secs, 5.0);
 }
 
+/// Sums of twelve even numbers are normal enough.
+fn standard_normal(i: usize) -> f64 {
+    let even = |k: usize| ((12 * i + k) as f64 * 12.9898).sin() * 43_758.545;
+    (0..12).map(|k| even(k).rem_euclid(1.0)).sum::<f64>() - 6.0
+}
+
+/// A straight metre with errors of a millimetre and a fiftieth of a degree: positions leave the turn about it open, orientations do not.
+#[test]
+fn orientations_of_a_short_walk_are_not_judged_by_an_alignment_of_positions() {
+    let truth: Vec<StampedPose> = (0..100)
+        .map(|i| StampedPose {
+            time: Timestamp::from_nanos(i * 100_000_000),
+            world_from_rig: Se3::new(
+                UnitQuaternion::identity(),
+                Vector3::new(0.01 * i as f64, 0.0, 0.0),
+            ),
+        })
+        .collect();
+    let sigma = [3e-4, 3e-4, 3e-4, 1e-3, 1e-3, 1e-3];
+    let estimate = changed(&truth, |i, p| {
+        let delta = Vector6::from_fn(|k, _| sigma[k] * standard_normal(6 * i + k));
+        p.world_from_rig = p.world_from_rig.retract(&delta);
+    });
+    let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|s| s * s)));
+    let nees = |alignment, factor: f64| {
+        let estimate = TrajectoryFile {
+            covariances: vec![covariance * factor; 100],
+            ..TrajectoryFile::of_poses(estimate.clone())
+        };
+        let config = EvalConfig {
+            alignment,
+            ..EvalConfig::default()
+        };
+        let truth = TrajectoryFile::of_poses(truth.clone());
+        let found = evaluate_files(&truth, &estimate, &config).expect("valid");
+        found.consistency.expect("tried").nees_mean
+    };
+    for alignment in [AlignmentMode::Se3, AlignmentMode::Sim3] {
+        let right = nees(alignment, 1.0);
+        assert!((right - 6.0).abs() < 0.5, "{right}");
+        assert!(nees(alignment, 0.1) > 50.0);
+    }
+}
+
 /// Errors drawn from the covariance that is stated: the mean of NEES is its six degrees of freedom.
 #[test]
 fn covariances_are_tried() {
     let truth = curl(4000);
     let sigma = [0.02, 0.01, 0.03, 0.2, 0.1, 0.05];
-    // Sums of twelve even numbers are normal enough.
-    let normal = |i: usize| {
-        let even = |k: usize| ((12 * i + k) as f64 * 12.9898).sin() * 43_758.545;
-        (0..12).map(|k| even(k).rem_euclid(1.0)).sum::<f64>() - 6.0
-    };
     let estimate = changed(&truth, |i, p| {
-        let delta = Vector6::from_fn(|k, _| sigma[k] * normal(6 * i + k));
+        let delta = Vector6::from_fn(|k, _| sigma[k] * standard_normal(6 * i + k));
         p.world_from_rig = p.world_from_rig.retract(&delta);
     });
     let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|s| s * s)));

@@ -18,10 +18,19 @@ fn walk(
     seconds: std::ops::Range<f64>,
     change: impl Fn(f64, &mut LidarScan),
 ) -> Vec<Found> {
+    walk_with(Some(&room::imu()), motion, seconds, change)
+}
+
+/// The same with this IMU, or none.
+fn walk_with(
+    noise: Option<&ImuNoiseModel>,
+    motion: fn(f64) -> Se3,
+    seconds: std::ops::Range<f64>,
+    change: impl Fn(f64, &mut LidarScan),
+) -> Vec<Found> {
     let room = Room::furnished();
-    let noise = room::imu();
     let mut odometry =
-        Odometry::new(&OdometryConfig::default(), &room::lidar(), Some(&noise)).expect("config");
+        Odometry::new(&OdometryConfig::default(), &room::lidar(), noise).expect("config");
     let start = room::time(seconds.start);
     for sample in room::imu_samples_on(motion, seconds.end, 7) {
         if sample.time >= start {
@@ -84,6 +93,20 @@ fn a_start_in_the_middle_of_a_walk_finds_its_way() {
     // Turning and a metre a second fast when the recording begins.
     let found = walk(room::world_from_rig, 3.3..11.3, |_, _| ());
     assert_all_right(&found, 0.1, 1.0);
+}
+
+/// Evenly, at a metre and 23° a second.
+fn rolling(t: f64) -> Se3 {
+    Se3::new(
+        so3::exp(&(Vector3::z() * (0.4 * t))),
+        Vector3::new(1.0 * t - 0.5, 0.3 * t, 1.4),
+    )
+}
+
+#[test]
+fn without_an_imu_a_start_in_motion_is_seen_as_one() {
+    let found = walk_with(None, rolling, 0.0..1.0, |_, _| {});
+    assert_all_right(&found, 0.03, 0.6);
 }
 
 /// People stand around within arm's reach and go along with the carrier, about whom they circle; what is seen between them is a tenth.
