@@ -19,6 +19,17 @@ pub struct JointFocalLength {
     pub images: usize,
 }
 
+/// What all images say of one of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointVerdict {
+    /// It was taken with another focal length, as all were.
+    Refused,
+    /// Its own focal length is no reason to refuse it.
+    Borne,
+    /// No more than it says itself.
+    AsAlone,
+}
+
 /// Fewer images say no more together than alone.
 const FEWEST_IMAGES: usize = 5;
 /// Images that may be of another place, or hardly know their focal length, have no say.
@@ -73,8 +84,21 @@ impl JointFocalLength {
         off > super::acceptance::MAX_LOG_FOCAL && off > SURE_SIGMAS * self.log_sigma
     }
 
+    /// What this says of an image that was localized by itself, or was not.
+    pub fn judge(&self, evidence: &Evidence, localized: bool) -> JointVerdict {
+        let alone = evidence.contradicts_focal_length();
+        let together = self.contradicts(evidence);
+        if together && self.is_another() && (localized || alone) {
+            JointVerdict::Refused
+        } else if alone && !together {
+            JointVerdict::Borne
+        } else {
+            JointVerdict::AsAlone
+        }
+    }
+
     /// Whether an image of this camera is refused for its focal length.
-    pub fn contradicts(&self, evidence: &Evidence) -> bool {
+    fn contradicts(&self, evidence: &Evidence) -> bool {
         let alone = evidence.contradicts_focal_length();
         let log = evidence.focal_scale.ln();
         if self.is_another() {

@@ -25,7 +25,7 @@ mod voting;
 
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
-pub use joint_focal_length::JointFocalLength;
+pub use joint_focal_length::{JointFocalLength, JointVerdict};
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};

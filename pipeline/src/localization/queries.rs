@@ -8,7 +8,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
-use super::joint_focal_length::JointFocalLength;
+use super::joint_focal_length::{JointFocalLength, JointVerdict};
 use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
@@ -80,26 +80,28 @@ pub fn judge_together(
     let Some(joint) = JointFocalLength::of(best.map(|best| &best.evidence)) else {
         return found;
     };
-    let judged = found.into_iter().map(|found| match found {
-        Ok(best) if joint.contradicts(&best.evidence) => Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength {
-                best: Box::new(best),
-                joint: Some(joint),
-            },
-        }),
+    let refused = |best| {
         Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength { best, .. },
-        }) if !joint.contradicts(&best.evidence) && best.probability >= min_probability => {
-            Ok(*best)
-        }
-        Err(NotLocalized {
-            reason: NotLocalizedReason::FocalLength { best, .. },
-        }) if joint.is_another() => Err(NotLocalized {
             reason: NotLocalizedReason::FocalLength {
                 best,
                 joint: Some(joint),
             },
-        }),
+        })
+    };
+    let judged = found.into_iter().map(|found| match found {
+        Ok(best) => match joint.judge(&best.evidence, true) {
+            JointVerdict::Refused => refused(Box::new(best)),
+            JointVerdict::Borne | JointVerdict::AsAlone => Ok(best),
+        },
+        Err(NotLocalized {
+            reason: NotLocalizedReason::FocalLength { best, joint: alone },
+        }) => match joint.judge(&best.evidence, false) {
+            JointVerdict::Refused => refused(best),
+            JointVerdict::Borne if best.probability >= min_probability => Ok(*best),
+            JointVerdict::Borne | JointVerdict::AsAlone => Err(NotLocalized {
+                reason: NotLocalizedReason::FocalLength { best, joint: alone },
+            }),
+        },
         found => found,
     });
     judged.collect()

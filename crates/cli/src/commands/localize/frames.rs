@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use lsfb_geometry::Se3;
 use lsfb_pipeline::localization::{
-    Evidence, JointFocalLength, Localization, NotLocalized, NotLocalizedReason,
+    Evidence, JointFocalLength, JointVerdict, Localization, NotLocalized, NotLocalizedReason,
 };
 use serde::{Deserialize, Serialize};
 
@@ -113,14 +113,16 @@ pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
         let Some(pose) = &frame.pose else {
             continue;
         };
-        let alone = pose.evidence.contradicts_focal_length();
-        let together = joint.contradicts(&pose.evidence);
-        if together && joint.is_another() && (frame.localized || alone) {
-            frame.localized = false;
-            frame.reason = Some(joint.to_string());
-        } else if alone && !together && pose.probability >= min_probability {
-            frame.localized = true;
-            frame.reason = None;
+        match joint.judge(&pose.evidence, frame.localized) {
+            JointVerdict::Refused => {
+                frame.localized = false;
+                frame.reason = Some(joint.to_string());
+            }
+            JointVerdict::Borne if pose.probability >= min_probability => {
+                frame.localized = true;
+                frame.reason = None;
+            }
+            JointVerdict::Borne | JointVerdict::AsAlone => {}
         }
     }
 }
