@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let scan = scan?;
         let last_ns = scan.sample.points.iter().map(|p| p.time_offset_ns).max();
         let end = scan.time.plus_nanos(last_ns.map_or(0, i64::from));
-        while let Some(sample) = samples.next() {
+        for sample in samples.by_ref() {
             let sample = sample?;
             let reaches = sample.time >= end;
             odometry.push_imu(&sample);

@@ -16,6 +16,7 @@ mod mock;
 mod output;
 mod phones;
 mod pushed;
+mod segments;
 mod several;
 mod silent;
 mod stale;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use lsfb_capture::SidecarConfig;
+use lsfb_capture::{PairingFolder, SidecarConfig};
 use lsfb_drivers::Error;
 use lsfb_drivers::sidecar::credentials::DeviceKey;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
@@ -10,6 +10,7 @@ use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientClock, ClientConfig, SidecarClient};
 
 use lsfb_recording::message::{WifiReading, decode_wifi, encode_wifi};
+use rcgen::{CertificateParams, KeyPair};
 
 use super::live::wait_until;
 use super::*;
@@ -172,6 +173,37 @@ fn strangers_are_refused_and_counted_and_a_token_is_used_once() {
     let bytes = std::fs::read(&out).unwrap();
     assert_eq!(notes(&out), [0, 1]);
     assert!(!bytes.windows(4).any(|w| w == b"tok="));
+}
+
+/// A rig's clock may be years off, and so may a phone's: the rig is known by its key, whatever the dates of its certificate.
+#[test]
+fn a_rig_whose_certificate_has_expired_is_known_by_its_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let sidecar = mock::sidecar(folder.path());
+    PairingFolder::open(&sidecar.folder).unwrap();
+    let key = std::fs::read(sidecar.folder.join("key.der")).unwrap();
+    let mut dated = CertificateParams::new(["lsfb-rig".to_owned()]).unwrap();
+    dated.not_before = rcgen::date_time_ymd(2001, 1, 1);
+    dated.not_after = rcgen::date_time_ymd(2002, 1, 1);
+    let key = KeyPair::try_from(key.as_slice()).unwrap();
+    let expired = dated.self_signed(&key).unwrap();
+    std::fs::write(sidecar.folder.join("certificate.der"), expired.der()).unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(sidecar),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let invited = mock::invited(&session, folder.path());
+    let out = folder.path().join("walk.mcap");
+    let running = {
+        let out = out.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    let mut visor = mock::visor(invited);
+    mock::send_note(&mut visor, 0);
+    visor.bye().unwrap();
+    assert_eq!(running.join().unwrap().lost, 0);
+    assert_eq!(notes(&out), [0]);
 }
 
 /// What a phone hears of other people is not in the recording, in no form.

@@ -48,7 +48,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
 }
 
 /// A phone that stands before a corridor's door frame, in a map of few points: features slide along the frame, in every image alike. Every
-/// second pose came out more than 10 cm off, with a standard deviation of 1 cm.
+/// second pose came out more than 10 cm off, with a standard deviation of 1 cm; a tenth of the images was localized, of which two thirds wrongly.
 #[test]
 fn a_walk_in_a_poor_map_is_refused_and_not_given_wrongly() {
     let folder = tempfile::tempdir().expect("folder");
@@ -57,7 +57,8 @@ fn a_walk_in_a_poor_map_is_refused_and_not_given_wrongly() {
     let run = &json(folder.path(), &arguments, 0)["runs"][0];
     assert_eq!(run["exported_wrong"], 0, "{run}");
     let why = run["refused"].as_str().unwrap_or_default();
-    assert!(why.contains("half of the map's points withheld"), "{run}");
+    assert!(why.contains("images could be found in the map"), "{run}");
+    assert_eq!(run["exported"], 0, "{run}");
 }
 
 /// A hall has no door that could be closed: said, where other places have; refused, where none is left. What cannot be is refused by `sim` too.
