@@ -86,8 +86,8 @@ fn best_world(
             };
             let estimate = world * pair.estimate.world_from_rig;
             let error = estimate.local(&pair.truth.world_from_rig);
-            // What moves the world moves the estimate on its right by this.
-            let moved = estimate.inverse().adjoint();
+            // What moves the world on its right moves the estimate on its own by this.
+            let moved = pair.estimate.world_from_rig.inverse().adjoint();
             let weighed = covariance.solve(&moved);
             normal += moved.transpose() * weighed;
             gradient += weighed.transpose() * error;
@@ -102,7 +102,7 @@ fn best_world(
         if !step.iter().all(|s| s.is_finite()) {
             return None;
         }
-        world = Se3::exp(&step) * world;
+        world = world.retract(&step);
         if step.dot(&gradient) < LEAST_STEP {
             break;
         }
