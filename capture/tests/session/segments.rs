@@ -97,7 +97,7 @@ fn segments_in_any_order_are_kept_once_and_whole() {
     let app = Uploader {
         rig: session.sidecar_address().unwrap(),
         tls: Arc::new(tls),
-        key: invited.device_key.clone(),
+        key: invited.device_key,
     };
     let out = folder.path().join("walk.mcap");
     let running = {
