@@ -239,8 +239,8 @@ impl Live {
         context: &Context,
     ) -> anyhow::Result<CaptureReport> {
         let mut session = Session::open_with(devices, self.phones.as_ref())?;
-        if let Some(sidecar) = &devices.sidecar {
-            context.note(&format!("phones connect to {}", sidecar.listen));
+        if let Some(address) = session.sidecar_address() {
+            context.note(&format!("phones connect to {address}"));
         }
         let stop = Arc::new(AtomicBool::new(false));
         let rig = devices.rig.as_deref().map(Rig::read).transpose()?;
