@@ -1,8 +1,8 @@
-//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] [--detailed] NAME ...`; with
-//! `--baked` in traced light, which is kept in the folder, with `--detailed` in the detailed look.
+//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] [--detailed] [--gap=N] NAME ...`;
+//! with `--baked` in traced light, which is kept in the folder, with `--detailed` in the detailed look.
 //!
-//! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images a tenth of a
-//! second apart through the first camera of the glasses, with the true motion between them. For `calibration`: images of
+//! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images N frames apart (3, a tenth of a
+//! second, unless another gap is asked for) through the first camera of the glasses, with the true motion between them. For `calibration`: images of
 //! the AprilGrid through the backpack's first camera, through a phone with a rolling shutter, and through the same phone
 //! on the same walk as if its shutter were global, with the true corners.
 
@@ -32,8 +32,16 @@ fn main() -> Result<(), Failure> {
         true => Look::Detailed,
         false => Look::Plain,
     };
-    arguments.retain(|a| a != "--baked" && a != "--detailed");
-    let folder = Path::new(arguments.first().ok_or("usage: frames FOLDER NAME ...")?);
+    let gap = match arguments.iter().find_map(|a| a.strip_prefix("--gap=")) {
+        Some(frames) => frames.parse()?,
+        None => 3,
+    };
+    arguments.retain(|a| !a.starts_with("--"));
+    let folder = Path::new(
+        arguments
+            .first()
+            .ok_or("usage: frames FOLDER [--baked] [--detailed] [--gap=N] NAME ...")?,
+    );
     std::fs::create_dir_all(folder)?;
     for name in &arguments[1..] {
         let truth = if name == Place::Calibration.name() {
@@ -49,7 +57,7 @@ fn main() -> Result<(), Failure> {
             config.light.baked = baked;
             config.look = look;
             config.light.cache = folder.join("light");
-            pairs(folder, name, &Simulation::new(&config, &no_progress)?)?
+            pairs(folder, name, gap, &Simulation::new(&config, &no_progress)?)?
         };
         std::fs::write(
             folder.join(format!("{name}.json")),
@@ -69,7 +77,7 @@ fn write(folder: &Path, name: &str, image: lsfb_types::Image) -> Result<(), Fail
     Ok(picture.write_png(&folder.join(name))?)
 }
 
-fn pairs(folder: &Path, name: &str, simulation: &Simulation) -> Result<Value, Failure> {
+fn pairs(folder: &Path, name: &str, gap: u32, simulation: &Simulation) -> Result<Value, Failure> {
     let rig = simulation.glasses();
     let camera = rig.rig().cameras.values().next().ok_or("no camera")?;
     let pose = |frame: u32| {
@@ -78,9 +86,9 @@ fn pairs(folder: &Path, name: &str, simulation: &Simulation) -> Result<Value, Fa
     };
     let mut list = Vec::new();
     for k in 0..PAIRS {
-        let first = (rig.frame_count() - 4) * (2 * k + 1) / (2 * PAIRS);
+        let first = rig.frame_count().saturating_sub(gap + 1) * (2 * k + 1) / (2 * PAIRS);
         let mut files = Vec::new();
-        for frame in [first, first + 3] {
+        for frame in [first, first + gap] {
             let image = rig.image(simulation.world(), 0, frame).ok_or("no image")?;
             let file = format!(
                 "{name}-{k:02}-{}.png",
@@ -89,7 +97,7 @@ fn pairs(folder: &Path, name: &str, simulation: &Simulation) -> Result<Value, Fa
             write(folder, &file, image.sample)?;
             files.push(file);
         }
-        let b_from_a: Se3 = pose(first + 3).inverse() * pose(first);
+        let b_from_a: Se3 = pose(first + gap).inverse() * pose(first);
         let rotation = b_from_a.rotation_matrix();
         let rows: Vec<Vec<f64>> = (0..3)
             .map(|r| {
