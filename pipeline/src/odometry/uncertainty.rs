@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     /// A carrier that stood, and sees its map again in one direction after the other: naively the factors of what it inherits were triangular, and
-    /// turns about slanting axes came out three times surer than what they were inherited from.
+    /// turns about slanting axes came out surer than what they were inherited from (in a simulated corridor three times).
     #[test]
     fn what_is_inherited_direction_by_direction_is_inherited_whole() {
         let pose = Se3::identity();
