@@ -120,6 +120,8 @@ pub struct Odometry {
     corrections_m: VecDeque<f64>,
     innovations: Innovations,
     free_space: FreeSpace,
+    /// Where the map was last rid of what is far.
+    rid_at: Option<Vector3<f64>>,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
     /// What the walk may have to begin again from, until a scan has found its place.
@@ -157,6 +159,8 @@ const MIN_GATE_M: f64 = 0.3;
 const LEAST_BEHIND: f64 = 1e-9;
 /// Fewer points draw no map and find no place.
 const LEAST_KEYPOINTS: usize = 10;
+/// What is far is forgotten each time the carrier is so much farther on, as a share of how far that is.
+const RID_EVERY: f64 = 0.05;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
 
@@ -193,6 +197,7 @@ impl Odometry {
             corrections_m: VecDeque::new(),
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
+            rid_at: None,
             searched_in_vain: None,
             start_scan: None,
             first_second: None,
@@ -522,8 +527,14 @@ impl Odometry {
             .insert(&reduced.insert_points, &sensor_in_rig, &world_from_rig);
         self.uncertainty
             .draw(self.map.place(), &world_from_rig, covariance);
+        // All of the map is looked through: not at each scan.
+        let here = world_from_rig.translation;
         let range_m = 1.5 * self.config.max_range_m;
-        self.map.forget_beyond(&world_from_rig.translation, range_m);
+        let at = *self.rid_at.get_or_insert(here);
+        if (here - at).norm() > RID_EVERY * range_m {
+            self.map.forget_beyond(&here, range_m);
+            self.rid_at = Some(here);
+        }
     }
 
     fn finish(&mut self, path: &[StampedPose]) {

@@ -1,6 +1,7 @@
 //! Scans: deskewed to one instant, reduced, gathered into planes, registered to planes.
 
 mod deskew;
+mod level;
 mod local_map;
 mod observability;
 mod plane;

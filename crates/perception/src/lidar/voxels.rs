@@ -31,8 +31,14 @@ pub fn voxel_downsample(points: &[Vector3<f64>], voxel_size_m: f64) -> Vec<Vecto
 
 /// Key of the grid cell that holds `point`: 21 bits per axis, so cells 2²¹ apart share a key.
 pub fn cell_key(point: &Vector3<f64>, cells_per_m: f64) -> u64 {
-    let part = |x: f64| (x * cells_per_m).floor() as i64 as u64 & 0x1f_ffff;
+    let part = |x: f64| floor(x * cells_per_m) as u64 & 0x1f_ffff;
     part(point.x) << 42 | part(point.y) << 21 | part(point.z)
+}
+
+/// The greatest integer that is not above `x`: as `f64::floor`, which is a call where the processor is not known beforehand.
+fn floor(x: f64) -> i64 {
+    let towards_zero = x as i64;
+    towards_zero.saturating_sub(i64::from(x < towards_zero as f64))
 }
 
 /// The key `dx, dy, dz` cells away.
@@ -74,6 +80,28 @@ mod tests {
         let out = voxel_downsample(&[p(5.1), p(-0.2), p(5.3), p(0.2)], 1.0);
         assert_eq!(out.len(), 3);
         assert!((out[0].x - 5.2).abs() < 1e-12 && out[1].x == -0.2 && out[2].x == 0.2);
+    }
+
+    #[test]
+    fn floor_is_that_of_the_standard_library() {
+        let numbers = [
+            0.0,
+            -0.0,
+            0.3,
+            -0.3,
+            1.0,
+            -1.0,
+            1e9 + 0.5,
+            -1e9 - 0.5,
+            1e300,
+            -1e300,
+        ];
+        for x in numbers
+            .into_iter()
+            .chain([f64::NAN, f64::INFINITY, f64::NEG_INFINITY])
+        {
+            assert_eq!(floor(x), x.floor() as i64, "{x}");
+        }
     }
 
     #[test]

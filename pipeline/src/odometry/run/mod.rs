@@ -260,25 +260,28 @@ pub fn run_odometry(
     });
     let mut run = OdometryRun::new(config, lidar, imu)?;
     let total = scan_count(recording);
-    for scan in recording.scans()? {
-        let Some(scan) = damages.keep(scan) else {
-            continue;
-        };
-        progress(Progress {
-            stage: "lidar odometry",
-            done: run.taken(),
-            total,
-        })?;
-        let timed = scan.sample.points.iter().any(|p| p.time_offset_ns > 0);
-        let times = match timed {
-            true => PointTimes::Field {
-                name: "t".to_owned(),
-                begins: TimesBegin::AfterStamp { nanos: 0 },
-            },
-            false => PointTimes::Absent,
-        };
-        run.push(TimedScan { scan, times })?;
-    }
+    read_ahead(
+        || recording.scans(),
+        |scan| {
+            let Some(scan) = damages.keep(scan) else {
+                return Ok(());
+            };
+            progress(Progress {
+                stage: "lidar odometry",
+                done: run.taken(),
+                total,
+            })?;
+            let timed = scan.sample.points.iter().any(|p| p.time_offset_ns > 0);
+            let times = match timed {
+                true => PointTimes::Field {
+                    name: "t".to_owned(),
+                    begins: TimesBegin::AfterStamp { nanos: 0 },
+                },
+                false => PointTimes::Absent,
+            };
+            run.push(TimedScan { scan, times })
+        },
+    )?;
     let mut result = run.finish()?;
     let damaged = damages.into_sentences().into_iter();
     result
@@ -287,6 +290,28 @@ pub fn run_odometry(
         .extend(damaged.map(|what| OdometryWarning::Damaged { what }));
     result.expect_poses(recording.path())?;
     Ok(result)
+}
+
+/// Scans that are read while others are registered.
+const AHEAD: usize = 4;
+
+/// Takes each item of a stream in turn, while a second thread, which opens it, reads those behind it. Ends at the first failure.
+fn read_ahead<T: Send, S: Iterator<Item = T>>(
+    open: impl FnOnce() -> Result<S, lsfb_recording::Error> + Send,
+    mut take: impl FnMut(T) -> Result<(), Error>,
+) -> Result<(), Error> {
+    std::thread::scope(|scope| {
+        let (sender, items) = std::sync::mpsc::sync_channel(AHEAD);
+        scope.spawn(move || {
+            // Nobody takes more after a failure.
+            let send = |item| sender.send(item).is_ok();
+            match open() {
+                Ok(mut stream) => stream.all(|item| send(Ok(item))),
+                Err(why) => send(Err(why)),
+            }
+        });
+        items.into_iter().try_for_each(|item| take(item?))
+    })
 }
 
 /// Inertial samples in order of time; none where the rig or the recording has no IMU.
