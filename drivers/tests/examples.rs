@@ -20,7 +20,7 @@ fn points_of_a_capture_become_a_table() {
     let mut capture = PcapWriter::create(&path, to_the_data_port).expect("file");
     let packet = Packet {
         arrival: Timestamp::from_nanos(1_772_359_200_000_000_000),
-        bytes: include_bytes!("../vectors/vlp32c_strongest_wrap.bin").to_vec(),
+        bytes: include_bytes!("vectors/vlp32c_strongest_wrap.bin").to_vec(),
     };
     capture.write(&packet).expect("written");
     capture.finish().expect("written");
