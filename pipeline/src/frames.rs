@@ -5,11 +5,12 @@ use std::collections::btree_map::Entry;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
-use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Stopped, Timestamp};
+use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::features::{FeatureDetector, Features, FrameFeatures};
+use crate::kept_stages::KeptStages;
 
 /// Features of all images of one instant, in the order of the rig's cameras; an image that is missing has none.
 pub(crate) struct FeatureFrame {
@@ -39,11 +40,12 @@ pub(crate) const SAME_INSTANT_NS: i64 = 2_000_000;
 /// Images decoded at a time: enough for all threads, little enough to hold.
 const BATCH: usize = 32;
 
-/// Finds the features of all images of the rig's cameras.
+/// Finds the features of all images of the rig's cameras; what is found is kept batch by batch.
 pub(crate) fn read_frames(
     recording: &Recording,
     rig: &Rig,
     detector: &FeatureDetector,
+    stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<ReadFrames, Error> {
     let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
@@ -54,16 +56,17 @@ pub(crate) fn read_frames(
         .map(|t| t.messages)
         .sum();
     let mut found: BTreeMap<(Timestamp, usize), Features> = BTreeMap::new();
-    let (mut damaged, mut repeated_stamps) = (0, 0);
+    let (mut damaged, mut repeated_stamps, mut batches) = (0, 0, 0);
     let mut batch: Vec<(Timestamp, usize, Image)> = Vec::with_capacity(BATCH);
-    let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| -> Result<(), Stopped> {
-        let features: Vec<Features> = batch
-            .par_iter()
-            .map_init(
+    let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| -> Result<(), Error> {
+        let features: Vec<Features> = stages.once(&format!("features_{batches:05}"), || {
+            let detected = batch.par_iter().map_init(
                 || detector.clone(),
                 |detector, (_, _, image)| detector.detect(image),
-            )
-            .collect();
+            );
+            Ok(detected.collect())
+        })?;
+        batches += 1;
         for ((time, camera, _), features) in batch.drain(..).zip(features) {
             match found.entry((time, camera)) {
                 Entry::Vacant(free) => {
@@ -76,7 +79,8 @@ pub(crate) fn read_frames(
             stage: "image features",
             done: found.len() as u64,
             total,
-        })
+        })?;
+        Ok(())
     };
     for item in recording.images_of(&cameras)? {
         match item {

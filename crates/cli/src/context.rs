@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_recording::{Provenance, Recording};
 use lsfb_types::{Progress, Stopped};
 use serde::Serialize;
@@ -70,6 +71,21 @@ impl Context {
             names.join(", ")
         ));
         Some(said)
+    }
+
+    /// What was finished of a result before its making was stopped, in `RESULT.unfinished`; says so where there is something.
+    pub fn kept_stages(&self, result: &Path, made_from: &Provenance) -> anyhow::Result<KeptStages> {
+        let mut name = result.file_name().unwrap_or_default().to_os_string();
+        name.push(".unfinished");
+        let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;
+        let stages = KeptStages::in_folder(&result.with_file_name(name), &made_from)?;
+        if stages.has_any() {
+            self.note(&format!(
+                "{}: goes on where it was stopped",
+                result.display()
+            ));
+        }
+        Ok(stages)
     }
 
     /// Remembers where is written, so that a full disk can be named.

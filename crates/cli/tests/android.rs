@@ -1,17 +1,14 @@
 //! The part of the Android recorder that needs no phone, on a JVM: its own tests, and a phone that is killed in the middle of a walk past a
 //! real rig. Skipped, and said so, where there is no `javac`.
 
-mod running;
-mod sidecar_rig;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
+use crate::sidecar_rig::SidecarRig;
 use lsfb_recording::Recording;
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
-use sidecar_rig::SidecarRig;
 
 const MESSAGES: usize = 1500;
 

@@ -1,19 +1,13 @@
 //! What cannot be used is refused with one sentence, and what was there before stays as it was.
 
-mod answer;
-mod capture_file;
-mod process;
-mod refusal;
-mod session;
-
 use std::path::Path;
 
-use answer::json;
-use capture_file::pcap;
+use crate::answer::json;
+use crate::capture_file::pcap;
+use crate::process::lsfb;
+use crate::refusal::{contents, refused};
+use crate::session::{inputs, with};
 use lsfb_recording::{Recording, read_tum};
-use process::lsfb;
-use refusal::{contents, refused};
-use session::{inputs, with};
 use tempfile::TempDir;
 
 fn noise(bytes: usize) -> Vec<u8> {

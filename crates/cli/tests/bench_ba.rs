@@ -1,12 +1,9 @@
 //! `lsfb bench ba` on a short walk.
 
-mod answer;
-mod process;
-
 use std::process::Output;
 
-use answer::json;
-use process::lsfb;
+use crate::answer::json;
+use crate::process::lsfb;
 
 fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()

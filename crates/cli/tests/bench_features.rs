@@ -1,13 +1,10 @@
 //! `lsfb bench features` on a few images: a feature whose answers are known by the homographies, and ours beside it.
 
-mod answer;
-mod process;
-
 use std::path::Path;
 use std::process::Output;
 
-use answer::json;
-use process::lsfb;
+use crate::answer::json;
+use crate::process::lsfb;
 use serde_json::Value;
 
 fn said(output: &Output) -> String {

@@ -1,10 +1,7 @@
 //! `lsfb bench twin`: one walk of a trial that is only tried out, and once more.
 
-mod answer;
-mod process;
-
-use answer::json;
-use process::lsfb;
+use crate::answer::json;
+use crate::process::lsfb;
 
 #[test]
 fn a_run_of_the_trial_is_judged_and_stands() {

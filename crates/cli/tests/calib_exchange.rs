@@ -1,15 +1,11 @@
 //! `lsfb calib import` and `export`, both ways: rigs of the simulator, and files of others.
 
-mod answer;
-mod process;
-mod refusal;
-
 use std::path::Path;
 
-use answer::json;
+use crate::answer::json;
+use crate::refusal::refused;
 use lsfb_geometry::{Camera, Rig, Se3};
 use lsfb_sim::{SimConfig, rigs};
-use refusal::refused;
 
 /// What is written and read again, at most.
 const SAME: f64 = 1e-9;

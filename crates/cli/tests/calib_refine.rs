@@ -1,18 +1,14 @@
 //! The LiDAR placed to a camera without a board, as an operator does it, and what cannot be refined.
 
-mod answer;
-mod process;
-mod refusal;
-
 use std::path::Path;
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
+use crate::refusal::refused;
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
-use process::lsfb;
-use refusal::refused;
 
 /// 95 % of six normal numbers squared lie within this, and all but one in a hundred thousand within that.
 const SURELY_INSIDE: f64 = 33.1;

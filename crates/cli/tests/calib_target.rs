@@ -1,10 +1,7 @@
 //! `lsfb calib target`: boards on paper, and the files that describe them.
 
-mod process;
-mod refusal;
-
-use process::lsfb;
-use refusal::refused;
+use crate::process::lsfb;
+use crate::refusal::refused;
 
 #[test]
 fn boards_are_printed_and_their_files_name_the_same_board() {

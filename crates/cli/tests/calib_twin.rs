@@ -1,15 +1,11 @@
 //! Calibration without hardware: the board of the twin's calibration place, then the checks, as an operator runs them.
 
-mod answer;
-mod process;
-mod rig_files;
-
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
+use crate::rig_files::{apart, write_rig};
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_rigs::walk::Walk;
 use lsfb_sim::{Place, SimConfig};
-use process::lsfb;
-use rig_files::{apart, write_rig};
 use serde_json::Value;
 
 /// A check of `lsfb calib verify`.

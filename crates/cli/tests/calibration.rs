@@ -1,18 +1,13 @@
 //! `lsfb calib camera` and `camera-imu`: what they write, what they refuse, and that one takes what the other gives.
 
-mod answer;
-mod board_images;
-mod process;
-mod refusal;
-
-use answer::json;
-use board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
+use crate::answer::json;
+use crate::board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
+use crate::process::lsfb;
+use crate::refusal::{contents, refused};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::Rig;
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Stamped, Timestamp};
-use process::lsfb;
-use refusal::{contents, refused};
 
 const CAMERA: [&str; 12] = [
     "calib",

@@ -1,15 +1,12 @@
 //! Colours: on terminals alone, where they are wanted, and never in what programs read.
 
-mod process;
-mod session;
-
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use crate::session::with;
 use nix::pty::openpty;
-use session::with;
 
 const RED: &str = "\x1b[1;31m";
 const YELLOW: &str = "\x1b[1;33m";

@@ -1,17 +1,13 @@
 //! What every command shares: refusals in one sentence, exit codes, stdout that is full or closed, results that stay.
 
-mod answer;
-mod process;
-mod session;
-
 use std::fs::File;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use answer::json;
-use process::lsfb;
+use crate::answer::json;
+use crate::process::lsfb;
+use crate::session::with;
 use serde_json::Value;
-use session::with;
 
 fn here() -> &'static Path {
     Path::new(env!("CARGO_TARGET_TMPDIR"))

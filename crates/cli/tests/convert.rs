@@ -1,18 +1,15 @@
 //! `lsfb convert`: a trajectory goes through the files of every program and comes back, and programs of others read it on the way.
 
-mod answer;
-mod process;
-
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
 use lsfb_geometry::{Se3, StampedPose, Trajectory, Vector6};
 use lsfb_recording::{read_tum, write_tum};
 use lsfb_tests::foreign_python;
 use lsfb_types::Timestamp;
-use process::lsfb;
 use serde_json::Value;
 
 /// Formats, the files that they are written to, and the options to read them again.

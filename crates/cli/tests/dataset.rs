@@ -1,18 +1,15 @@
 //! `lsfb dataset`: one sequence made, checked, measured and exported.
 
-mod answer;
-mod process;
-
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
 use lsfb_geometry::{Quaternion, Rig, Se3, Trajectory, UnitQuaternion, Vector3};
 use lsfb_recording::{Recording, read_tum};
 use lsfb_tests::foreign_python;
 use lsfb_types::Timestamp;
-use process::lsfb;
 use serde_json::Value;
 
 const MAKE: &str = "dataset make --out ds --sequence C3-glasses --scale-percent 0.1 --least-secs 5 --small-images --seed 4711";

@@ -1,19 +1,14 @@
-//! `lsfb demo` twice, once interrupted, and its stages once more, on a walk short enough for a test.
-
-mod answer;
-mod process;
-mod running;
-mod sidecar_rig;
+//! `lsfb demo` interrupted and finished, and its stages once more on one thread, on a walk short enough for a test.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
+use crate::running::Running;
+use crate::sidecar_rig::SidecarRig;
 use lsfb_recording::sha256_of;
 use nix::sys::signal::Signal;
-use process::lsfb;
-use running::Running;
-use sidecar_rig::SidecarRig;
 
 /// The demo but for its length.
 const SHORT: &str = "[scan]\nduration_s = 14.0\n[glasses]\nduration_s = 6.0\nheight_m = 1.62\n";
@@ -81,29 +76,29 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
             seed,
         ]
     };
-    let once = [&demo("once", "1")[..], &["--threads", "1"]].concat();
-    finished(root, &once);
-    let expected = results(&root.join("once"));
-    std::fs::remove_dir_all(root.join("once")).expect("folder");
-
-    let many = demo("many", "1");
-    let mut running = Running::lsfb(root, many.into_iter().map(str::to_owned));
-    running.wait_for("lidar odometry");
-    running.signal(Signal::SIGTERM);
-    assert_eq!(running.wait().code(), Some(143), "{}", running.said());
-    let said = running.said();
-    assert!(said.contains("stopped by SIGTERM"), "{said}");
-    let recordings = ["scan.mcap", "walk.mcap"].map(|name| root.join("many").join(name));
-    let hashes = || {
-        let of = |path: &PathBuf| sha256_of(path).expect("recording");
-        recordings.each_ref().map(of)
+    let hashes = |out: &str| {
+        ["scan.mcap", "walk.mcap"].map(|name| {
+            let path = root.join(out).join(name);
+            sha256_of(&path).expect("recording")
+        })
     };
-    let before = hashes();
+    // Stopped where both recordings are there.
+    let stopped = |arguments: &[&str]| {
+        let mut running = Running::lsfb(root, arguments.iter().map(|&a| a.to_owned()));
+        running.wait_for("lidar odometry");
+        running.signal(Signal::SIGTERM);
+        assert_eq!(running.wait().code(), Some(143), "{}", running.said());
+        let said = running.said();
+        assert!(said.contains("stopped by SIGTERM"), "{said}");
+    };
+    let many = demo("many", "1");
+    stopped(&many);
+    let before = hashes("many");
     // Another demo does not take the folder.
     refused(root, &demo("many", "4"), "--force");
     finished(root, &many);
-    assert_eq!(hashes(), before, "recorded once");
-    assert_same(&expected, &results(&root.join("many")));
+    assert_eq!(hashes("many"), before, "recorded once");
+    let expected = results(&root.join("many"));
 
     // What is finished stays as it is.
     let report = || {
@@ -113,19 +108,22 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     let written = report();
     refused(root, &many, "this demo is finished");
     assert_eq!(report(), written);
-    assert_eq!(hashes(), before);
+    assert_eq!(hashes("many"), before);
 
-    // The stages as subcommands, where there are recordings and nothing else.
+    // The stages as subcommands, uninterrupted and on one thread, where there are recordings, of one thread as well, and nothing else.
+    stopped(&[&demo("once", "1")[..], &["--threads", "1"]].concat());
     let alone = root.join("alone");
     std::fs::create_dir(&alone).expect("folder");
     for name in ["scan.mcap", "walk.mcap"] {
-        std::fs::rename(root.join("many").join(name), alone.join(name)).expect("recording");
+        std::fs::rename(root.join("once").join(name), alone.join(name)).expect("recording");
     }
     // For who judges, out of reach of who estimates.
-    std::fs::rename(root.join("many/truth"), root.join("truth")).expect("truth");
-    std::fs::remove_dir_all(root.join("many")).expect("folder");
-    let map = "map scan.mcap --out map --out-trajectory scan.tum";
-    let truth = "groundtruth walk.mcap --map map --out walk.tum";
+    std::fs::rename(root.join("once/truth"), root.join("truth")).expect("truth");
+    for folder in ["many", "once"] {
+        std::fs::remove_dir_all(root.join(folder)).expect("folder");
+    }
+    let map = "map scan.mcap --out map --out-trajectory scan.tum --threads 1";
+    let truth = "groundtruth walk.mcap --map map --out walk.tum --threads 1";
     for command in [map, truth] {
         json(&alone, &command.split(' ').collect::<Vec<_>>(), 0);
     }

@@ -1,15 +1,11 @@
 //! Every command of `docs/devices.md` does what is said there, with mock devices in place of the hardware.
 
-mod process;
-mod running;
-mod simulated_session;
-
 use std::path::Path;
 
+use crate::process::lsfb;
+use crate::running::Running;
+use crate::simulated_session::{Ports, recorded, text};
 use nix::sys::signal::Signal;
-use process::lsfb;
-use running::Running;
-use simulated_session::{Ports, recorded, text};
 
 /// Commands of `lsfb` in the handbook, as words.
 fn commands() -> Vec<Vec<String>> {

@@ -1,18 +1,15 @@
 //! `lsfb import`: recordings of other programs, real ones (`LSFB_TEST_DATA`) and small ones made here.
 
-mod answer;
-mod process;
-
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
 use lsfb_recording::{Recording, message};
 use lsfb_tests::{foreign_python, recordings};
-use process::lsfb;
 use serde_json::Value;
 
 /// What an independent script counts in the recordings of others: `python3 crates/cli/tests/import/counts.py ../shared/data`.

@@ -1,14 +1,12 @@
 //! `lsfb calib imu-noise` on logs at rest whose noise is known.
 
-mod process;
-
 use std::fmt::Write as _;
 use std::path::Path;
 
+use crate::process::lsfb;
 use lsfb_geometry::{ImuNoiseModel, Rig};
 use lsfb_recording::{Channel, Writer, WriterConfig};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
-use process::lsfb;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,14 +1,11 @@
 //! Stages that are told to stop: they end at once, and leave nothing half-written.
 
-mod process;
-mod session;
-
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::session::with;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use session::with;
 
 #[test]
 fn mapping_ends_at_once() {

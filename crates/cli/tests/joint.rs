@@ -1,16 +1,11 @@
 //! The joint graph of all sensors as an operator runs it: loops closed, and a transform that contradicts named.
 
-mod answer;
-mod process;
-mod refusal;
-mod rig_files;
-
-use answer::json;
+use crate::answer::json;
+use crate::refusal::refused;
+use crate::rig_files::{apart, write_rig};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Matrix6, Rig, RigLidar, Se3, Vector6};
 use lsfb_sim::SimConfig;
-use refusal::refused;
-use rig_files::{apart, write_rig};
 
 /// A covariance as a good calibration has it: 0.06° and 3 mm.
 fn good() -> Matrix6<f64> {

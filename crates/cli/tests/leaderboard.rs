@@ -1,8 +1,5 @@
 //! `lsfb bench serve`: uploads by form, hostile ones among them, and the page in a browser.
 
-mod chromium;
-mod running;
-
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{Read as _, Write as _};
@@ -10,10 +7,10 @@ use std::net::{Shutdown, TcpStream};
 use std::path::Path;
 use std::time::Duration;
 
-use chromium::Tab;
+use crate::chromium::Tab;
+use crate::running::Running;
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
-use running::Running;
 
 /// A coordinate of the truth that no answer may contain.
 const SECRET: &str = "7.654321";

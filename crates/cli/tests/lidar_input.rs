@@ -1,19 +1,14 @@
 //! Who sends LiDAR packets, and what is in a capture that has none.
 
-mod answer;
-mod capture_file;
-mod process;
-mod refusal;
-
 use std::path::{Path, PathBuf};
 
-use answer::json;
-use capture_file::{Frame, capture, pcap};
+use crate::answer::json;
+use crate::capture_file::{Frame, capture, pcap};
+use crate::refusal::refused;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::Recording;
 use lsfb_tests::velodyne::data_packet;
 use lsfb_types::{Echo, LidarScan};
-use refusal::refused;
 use serde_json::Value;
 
 /// Protocol number of IP.

@@ -1,18 +1,14 @@
 //! Devices in one process, their recorder in another.
 
-mod process;
-mod running;
-mod simulated_session;
-
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use crate::process::lsfb;
+use crate::running::{Running, wait_until};
+use crate::simulated_session::{Ports, recorded, scan, settings, text};
 use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuResponse, ImuSegment};
 use lsfb_recording::{LIDAR_POSITION, Recording, TF};
 use nix::sys::signal::Signal;
-use process::lsfb;
-use running::{Running, wait_until};
-use simulated_session::{Ports, recorded, scan, settings, text};
 
 /// Whether no datagram waits in the sockets at these ports of this machine.
 fn nothing_waits(ports: &[u16]) -> bool {

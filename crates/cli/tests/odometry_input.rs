@@ -1,18 +1,13 @@
 //! `lsfb odometry` on what people have: their topics, their files, their packets.
 
-mod answer;
-mod capture_file;
-mod process;
-mod refusal;
-
 use std::path::{Path, PathBuf};
 
-use answer::json;
-use capture_file::pcap;
+use crate::answer::json;
+use crate::capture_file::pcap;
+use crate::refusal::refused;
 use lsfb_geometry::{StampedPose, UnitQuaternion};
 use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
-use refusal::refused;
 
 /// A room of 8 × 6 × 3 m with a pillar, seen from a sensor that moves 5 cm along x from scan to scan, also while it turns.
 fn scan(number: usize) -> LidarScan {

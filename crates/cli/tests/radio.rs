@@ -1,13 +1,10 @@
 //! `lsfb dataset radio` and `lsfb bench radio` on the walks of a mall that others recorded.
 
-mod answer;
-mod process;
-
 use std::path::{Path, PathBuf};
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
 use lsfb_tests::recordings;
-use process::lsfb;
 
 /// Scans, mean, median and largest error, metres, as `benches/radio/neighbours.py` computes them from the walks' texts alone.
 const EXPECTED: [(f64, f64, f64, f64); 3] = [

@@ -1,15 +1,11 @@
 //! The documented commands on recordings made by others (`LSFB_TEST_DATA`).
 
-mod answer;
-mod process;
-mod refusal;
-
 use std::path::{Path, PathBuf};
 
-use answer::json;
+use crate::answer::json;
+use crate::refusal::refused;
 use lsfb_geometry::Vector3;
 use lsfb_recording::{Recording, read_tum};
-use refusal::refused;
 use serde_json::Value;
 
 /// Absolute, as the commands run in a folder of their own.

@@ -1,14 +1,11 @@
 //! `lsfb doctor`, `recover`, `clock`, and `scan` onto a recording that is there: exit codes and words.
 
-mod capture_file;
-mod process;
-
 use std::path::Path;
 
+use crate::process::lsfb;
 use lsfb_geometry::{ImuNoiseModel, Rig};
 use lsfb_recording::{Writer, WriterConfig, rig_sha256, sha256_of};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
-use process::lsfb;
 
 const START: i64 = 1_772_359_200_000_000_000;
 
@@ -264,7 +261,7 @@ fn clocks_are_printed_and_plotted() {
 #[test]
 fn a_recording_that_is_there_stays_unless_it_may_be_replaced() {
     let folder = tempfile::tempdir().expect("folder");
-    let pcap = capture_file::pcap(0..400);
+    let pcap = crate::capture_file::pcap(0..400);
     std::fs::write(folder.path().join("drive.pcap"), pcap).expect("file");
     let out = folder.path().join("drive.mcap");
     std::fs::write(&out, b"yesterday").expect("file");

@@ -1,16 +1,13 @@
 //! A page with plots and a view in space, as somebody uses it: values under the pointer, a closer look, the scene turned and enlarged,
 //! on a screen and on a phone.
 
-mod chromium;
-mod process;
-
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
-use chromium::Tab;
+use crate::chromium::Tab;
+use crate::process::lsfb;
 use lsfb_tests::{Lacks, skip};
-use process::lsfb;
 use serde_json::{Value, json};
 
 /// A minute of walking in circles, with errors of some centimetres.

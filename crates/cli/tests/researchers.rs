@@ -1,14 +1,12 @@
 //! Every command of `docs/from/` does what is said there, on files as other programs write them.
 
-mod process;
-
 use std::fmt::Write as _;
 use std::path::Path;
 
+use crate::process::lsfb;
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_recording::{Channel, Writer, WriterConfig};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
-use process::lsfb;
 
 const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/from");
 const EPOCH_S: f64 = 1_403_636_579.0;

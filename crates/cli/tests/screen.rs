@@ -1,21 +1,16 @@
 //! The operator's screen in a browser, in front of the mock rig.
 
-mod chromium;
-mod process;
-mod running;
-mod simulated_session;
-
 use std::path::Path;
 use std::time::Duration;
 
-use chromium::Tab;
+use crate::chromium::Tab;
+use crate::running::Running;
+use crate::simulated_session::{Ports, recorded, text};
 use lsfb_recording::message::decode_remark;
 use lsfb_recording::{REMARKS, Recording};
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
-use running::Running;
 use serde_json::json;
-use simulated_session::{Ports, recorded, text};
 
 /// A tap, and longer than the stop key wants to be held.
 const TAP: Duration = Duration::from_millis(30);

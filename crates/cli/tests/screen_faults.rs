@@ -1,20 +1,15 @@
 //! The operator's screen in a browser when something is wrong: a rig without power, a screen that goes dark.
 
-mod chromium;
-mod process;
-mod running;
-mod simulated_session;
-
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use chromium::Tab;
+use crate::chromium::Tab;
+use crate::running::Running;
+use crate::simulated_session::{Ports, recorded, text};
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
-use running::Running;
 use serde_json::json;
-use simulated_session::{Ports, recorded, text};
 
 const TAP: Duration = Duration::from_millis(30);
 

@@ -1,9 +1,6 @@
 //! Whose seed it is: that of the command line, else that of the settings.
 
-mod answer;
-mod process;
-
-use answer::json;
+use crate::answer::json;
 
 /// As little as can be recorded.
 const SETTINGS: &str = "seed = 5\ntexel_m = 0.05\n[scan]\nduration_s = 1.0\n[glasses]\nduration_s = 1.0\nheight_m = 1.62\n\

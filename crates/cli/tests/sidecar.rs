@@ -3,20 +3,17 @@
 //! `LSFB_SIDECAR_RUNS` phones, sixteen by default, each with faults of its own; the recorder is killed four times for each
 //! sixteen of them.
 
-mod running;
-mod sidecar_rig;
-
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
+use crate::sidecar_rig::SidecarRig;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_recording::{Recording, Writer, WriterConfig};
 use nix::sys::signal::Signal;
-use sidecar_rig::SidecarRig;
 
 /// Phones at once.
 const AT_ONCE: usize = 16;

@@ -1,10 +1,5 @@
 //! A browser records a walk beside a rig that is killed and cut off, and its page is loaded again: everything is in the recordings, once.
 
-mod chromium;
-mod running;
-mod screen_network;
-mod sidecar_rig;
-
 use std::collections::BTreeMap;
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -13,13 +8,13 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use chromium::Tab;
+use crate::chromium::Tab;
+use crate::sidecar_rig::SidecarRig;
 use lsfb_recording::Recording;
 use lsfb_recording::message::{decode_image, decode_imu, decode_time_reference};
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
 use serde_json::json;
-use sidecar_rig::SidecarRig;
 
 const NAME: &str = "phone-in-a-browser";
 const TAP: Duration = Duration::from_millis(50);

@@ -1,18 +1,17 @@
 //! `lsfb vio` on a hand-held pair of cameras of TUM VI (`LSFB_TEST_DATA`).
 
-mod answer;
-mod process;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use answer::json;
+use crate::answer::json;
+use crate::process::lsfb;
+use crate::running::Running;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, Rig, RigCamera, RigImu, Se3, UnitQuaternion, Vector3,
 };
 use lsfb_recording::read_tum;
-use process::lsfb;
+use nix::sys::signal::Signal;
 use serde_json::Value;
 
 /// Images that a part of the walk has: eight seconds.
@@ -260,6 +259,28 @@ fn change_samples(at: &Path, change: impl Fn(f64, Vec<f64>) -> Option<Vec<f64>>)
     fs::write(&place, lines.join("\n")).expect("samples");
 }
 
+/// Stopped when all images were followed: they are not followed again.
+fn stopped_it_goes_on_to_the_same(at: &Path) {
+    let arguments = ["vio", "walk", "--rig", "rig.toml", "--out", "again.tum"];
+    let mut running = Running::lsfb(at, arguments.map(str::to_owned));
+    running.wait_for("motion");
+    running.signal(Signal::SIGTERM);
+    assert_eq!(running.wait().code(), Some(143), "{}", running.said());
+    let kept = at.join("again.tum.unfinished");
+    assert!(kept.join("followed.stage").exists());
+    let again = lsfb(at, &arguments);
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert_eq!(again.status.code(), Some(3), "{said}");
+    assert!(
+        said.contains("again.tum: goes on where it was stopped") && !said.contains("following")
+    );
+    assert!(!kept.exists());
+    for name in [".tum", "_covariance.txt"] {
+        let read = |of: &str| fs::read(at.join(format!("{of}{name}"))).expect("a result");
+        assert!(read("walk") == read("again"), "{name}");
+    }
+}
+
 /// Once it was refused for the IMU's axes and both clocks.
 #[test]
 fn a_pause_of_the_imu_parts_the_walk_and_is_said() {
@@ -284,6 +305,7 @@ fn a_pause_of_the_imu_parts_the_walk_and_is_said() {
     assert!((1.8..3.2).contains(&left_out), "{left_out} s");
     let found = read_tum(&at.join("walk.tum")).expect("a trajectory");
     assert!(found.len() >= 48, "{} poses", found.len());
+    stopped_it_goes_on_to_the_same(at);
     // Without the longest part's neighbours nothing is left.
     change_samples(at, |secs, all| (secs % 1.0 < 0.4).then_some(all));
     let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "p.tum"]);

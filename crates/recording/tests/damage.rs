@@ -430,7 +430,7 @@ fn a_disk_that_fills_up_leaves_whole_chunks() {
         return write_until_the_limit(&folder);
     }
     let dir = tempfile::tempdir().unwrap();
-    let test = "a_disk_that_fills_up_leaves_whole_chunks";
+    let test = "damage::a_disk_that_fills_up_leaves_whole_chunks";
     lsfb_tests::run_with_limited_files(test, 512, dir.path());
     let path = dir.path().join("full.mcap");
     let recording = Recording::open(&path).unwrap();

@@ -135,14 +135,20 @@ fn open_node(path: &Path) -> Result<Wire, Error> {
 
 #[cfg(not(feature = "hardware"))]
 fn open_node(path: &Path) -> Result<Wire, Error> {
-    Err(Error::Open {
+    Err(built_without_nodes(path))
+}
+
+/// Compiled for tests too, so that one build of them tests what programs with and without hardware say.
+#[cfg(any(test, not(feature = "hardware")))]
+fn built_without_nodes(path: &Path) -> Error {
+    Error::Open {
         device: path.display().to_string(),
         action: "open the camera node",
         cause: io::Error::new(
             io::ErrorKind::Unsupported,
             "this program knows mock cameras only; build it with `--features hardware`",
         ),
-    })
+    }
 }
 
 #[cfg(test)]
@@ -164,5 +170,7 @@ mod tests {
             "--features hardware"
         };
         assert!(node.contains(expected), "{node}");
+        let without = built_without_nodes(Path::new("/dev/null")).to_string();
+        assert!(without.contains("--features hardware"), "{without}");
     }
 }

@@ -58,10 +58,10 @@ pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
     Span,
 };
-pub use run::{ground_truth, ground_truth_of};
+pub use run::{ground_truth, ground_truth_in_stages, ground_truth_of};
 pub use without_map::{
     Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, Sight, TrackedFrame,
-    TrackedWalk, motion_of_recording, motion_without_map,
+    TrackedWalk, motion_of_recording, motion_of_recording_in_stages, motion_without_map,
 };
 
 use crate::Error;

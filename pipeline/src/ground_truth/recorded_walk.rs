@@ -10,6 +10,7 @@ use super::{GroundTruthConfig, frozen_images, frozen_samples};
 use crate::Error;
 use crate::features::{Feature, FeatureDetector};
 use crate::frames::{ReadFrames, read_frames, read_imu};
+use crate::kept_stages::KeptStages;
 
 /// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
 pub struct RecordedWalk {
@@ -36,6 +37,16 @@ impl RecordedWalk {
         config: &GroundTruthConfig,
         progress: ProgressFn<'_>,
     ) -> Result<Self, Error> {
+        Self::read_in_stages(recording, config, &KeptStages::none(), progress)
+    }
+
+    /// [`RecordedWalk::read`], going on behind the features that are kept.
+    pub(super) fn read_in_stages(
+        recording: &Recording,
+        config: &GroundTruthConfig,
+        stages: &KeptStages,
+        progress: ProgressFn<'_>,
+    ) -> Result<Self, Error> {
         config.check_bounds("ground_truth")?;
         let rig = recording.rig()?;
         let missing = |sensor| Error::SensorMissing {
@@ -52,7 +63,7 @@ impl RecordedWalk {
         }
         let frozen_secs = frozen_samples::take_out(&mut imu)?;
         let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
-        let mut read = read_frames(recording, &rig, &detector, progress)?;
+        let mut read = read_frames(recording, &rig, &detector, stages, progress)?;
         let frozen = frozen_images::take_out(&mut read.frames, &imu);
         Ok(Self {
             path: recording.path().to_owned(),

@@ -28,6 +28,7 @@ use crate::Error;
 use crate::features::Feature;
 use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
+use crate::kept_stages::KeptStages;
 use crate::localization::{Localization, Localizer, localize_frames};
 use crate::residuals::MovingCamera;
 
@@ -51,6 +52,17 @@ pub fn ground_truth(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
+    ground_truth_in_stages(recording, map, config, &KeptStages::none(), progress)
+}
+
+/// [`ground_truth`], going on behind what is kept of it: features and localizations of its images.
+pub fn ground_truth_in_stages(
+    recording: &Recording,
+    map: &HdMap,
+    config: &GroundTruthConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<GroundTruth, Error> {
     config.check_bounds("ground_truth")?;
     let wanted = match &config.learned {
         Some(learned) => Feature::Learned(learned.feature.clone()),
@@ -58,8 +70,8 @@ pub fn ground_truth(
     };
     // Before images are read: that takes a while.
     check_map(map, &wanted, config)?;
-    let recorded = RecordedWalk::read(recording, config, progress)?;
-    ground_truth_of(&recorded, map, config, progress)
+    let recorded = RecordedWalk::read_in_stages(recording, config, stages, progress)?;
+    solve_in_map(&recorded, map, config, stages, progress)
 }
 
 /// [`ground_truth`] of a walk that was read before, with the same features.
@@ -71,12 +83,22 @@ pub fn ground_truth_of(
 ) -> Result<GroundTruth, Error> {
     config.check_bounds("ground_truth")?;
     check_map(map, &recorded.feature, config)?;
+    solve_in_map(recorded, map, config, &KeptStages::none(), progress)
+}
+
+fn solve_in_map(
+    recorded: &RecordedWalk,
+    map: &HdMap,
+    config: &GroundTruthConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<GroundTruth, Error> {
     let RecordedWalk {
         path, rig, read, ..
     } = recorded;
     let localizer = Localizer::new(map, &config.localization)?;
     let localized: Vec<Option<Localization>> =
-        localize_frames(&localizer, &read.frames, rig, progress)?
+        localize_frames(&localizer, &read.frames, rig, stages, progress)?
             .into_iter()
             .map(Result::ok)
             .collect();

@@ -1,8 +1,10 @@
 //! Values as bytes and back, bit for bit: little-endian numbers, lists behind their length.
 
-use lsfb_geometry::{Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
+use lsfb_geometry::{Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3};
 use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 /// A value that can be kept.
 pub(crate) trait Keep: Sized {
@@ -49,6 +51,39 @@ macro_rules! keep_numbers {
 }
 
 keep_numbers!(u8, u32, u64, i64, f32, f64);
+
+/// Types whose fields are kept one after the other.
+macro_rules! keep_fields {
+    ($($kept:ident { $($field:ident),* })*) => {$(
+        impl $crate::kept_stages::Keep for $kept {
+            fn put(&self, out: &mut Vec<u8>) {
+                $($crate::kept_stages::Keep::put(&self.$field, out);)*
+            }
+            fn take(from: &mut $crate::kept_stages::ByteReader<'_>) -> Option<Self> {
+                Some(Self { $($field: $crate::kept_stages::Keep::take(from)?),* })
+            }
+        }
+    )*};
+}
+pub(crate) use keep_fields;
+
+#[derive(Serialize, Deserialize)]
+struct Told<R> {
+    report: R,
+}
+
+/// Appends what has names for its numbers as TOML, from which they come back bit for bit, those that are none as well.
+pub(crate) fn put_told(report: &impl Serialize, out: &mut Vec<u8>) {
+    // What is no TOML is not read back, and computed again.
+    let text = toml::to_string(&Told { report });
+    text.unwrap_or_default().put(out);
+}
+
+/// What [`put_told`] appended.
+pub(crate) fn take_told<R: DeserializeOwned>(from: &mut ByteReader<'_>) -> Option<R> {
+    let Told { report } = toml::from_str(&String::take(from)?).ok()?;
+    Some(report)
+}
 
 impl Keep for usize {
     fn put(&self, out: &mut Vec<u8>) {
@@ -110,27 +145,45 @@ impl<A: Keep, B: Keep, C: Keep> Keep for (A, B, C) {
     }
 }
 
-impl<const N: usize> Keep for [f32; N] {
+impl<A: Keep, B: Keep> Keep for Result<A, B> {
+    fn put(&self, out: &mut Vec<u8>) {
+        u8::from(self.is_ok()).put(out);
+        match self {
+            Ok(value) => value.put(out),
+            Err(value) => value.put(out),
+        }
+    }
+
+    fn take(from: &mut ByteReader<'_>) -> Option<Self> {
+        match u8::take(from)? {
+            0 => B::take(from).map(Err),
+            1 => A::take(from).map(Ok),
+            _ => None,
+        }
+    }
+}
+
+impl<T: Keep> Keep for Box<T> {
+    fn put(&self, out: &mut Vec<u8>) {
+        T::put(self, out);
+    }
+
+    fn take(from: &mut ByteReader<'_>) -> Option<Self> {
+        T::take(from).map(Self::new)
+    }
+}
+
+impl<T: Keep + Copy + Default, const N: usize> Keep for [T; N] {
     fn put(&self, out: &mut Vec<u8>) {
         self.iter().for_each(|value| value.put(out));
     }
 
     fn take(from: &mut ByteReader<'_>) -> Option<Self> {
-        let mut values = [0.0; N];
+        let mut values = [T::default(); N];
         for value in &mut values {
-            *value = f32::take(from)?;
+            *value = T::take(from)?;
         }
         Some(values)
-    }
-}
-
-impl<const N: usize> Keep for [u8; N] {
-    fn put(&self, out: &mut Vec<u8>) {
-        out.extend_from_slice(self);
-    }
-
-    fn take(from: &mut ByteReader<'_>) -> Option<Self> {
-        from.array()
     }
 }
 
@@ -153,6 +206,16 @@ impl Keep for Timestamp {
 
     fn take(from: &mut ByteReader<'_>) -> Option<Self> {
         i64::take(from).map(Timestamp::from_nanos)
+    }
+}
+
+impl Keep for Vector2<f64> {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.put(out));
+    }
+
+    fn take(from: &mut ByteReader<'_>) -> Option<Self> {
+        Some(Self::new(f64::take(from)?, f64::take(from)?))
     }
 }
 
@@ -263,6 +326,9 @@ mod tests {
             back(&([1.5_f32, -2.0], [7_u8; 128], 9_usize)),
             Some(([1.5, -2.0], [7; 128], 9))
         );
+        let found: Vec<Result<Box<u32>, Vector2<f64>>> =
+            vec![Ok(Box::new(7)), Err(Vector2::new(-0.0, 3.0))];
+        assert_eq!(back(&found), Some(found));
         let nan = back(&f64::NAN.copysign(-1.0)).expect("a number");
         assert_eq!(nan.to_bits(), f64::NAN.copysign(-1.0).to_bits());
     }

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::Error;
-pub(crate) use keep::{ByteReader, Keep};
+pub(crate) use keep::{ByteReader, Keep, keep_fields, put_told, take_told};
 
 /// Length of a SHA-256, bytes.
 const HASH_LEN: usize = 32;
@@ -99,6 +99,14 @@ impl KeptStages {
             true => Ok(()),
             false => write_whole(&made_from, self.made_from.as_bytes()),
         }
+    }
+
+    /// Passes a result on, and takes away what was kept where the computation failed by itself: it would fail again.
+    pub fn kept_if_stopped<T>(&self, result: Result<T, Error>) -> Result<T, Error> {
+        if matches!(&result, Err(error) if !matches!(error, Error::Stopped(_))) {
+            self.remove()?;
+        }
+        result
     }
 
     /// Takes away what was kept: the result is there.
@@ -188,6 +196,18 @@ mod tests {
             fs::write(&file, bytes).expect("spoilt");
             assert_eq!(kept.get::<u64>("sum"), None);
         }
+    }
+
+    #[test]
+    fn what_fails_by_itself_keeps_nothing() {
+        let scratch = tempfile::tempdir().expect("folder");
+        let folder = scratch.path().join("walk.tum.unfinished");
+        let kept = KeptStages::in_folder(&folder, "walk").expect("folder");
+        kept.keep("sum", &7_u64).expect("kept");
+        let ends = |result: Result<u64, Error>| kept.kept_if_stopped(result).is_ok();
+        assert!(ends(Ok(1)) && !ends(Err(lsfb_types::Stopped.into())) && kept.has_any());
+        let failed = || Error::io(&folder)(ErrorKind::NotFound.into());
+        assert!(!ends(Err(failed())) && !folder.exists());
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod focal_length;
 mod guided_matching;
 mod joint_focal_length;
 mod judging;
+mod kept;
 mod localizer;
 mod map_error;
 mod matches;
@@ -33,7 +34,7 @@ pub use p3p::solve_p3p;
 pub(crate) use queries::localize_frames;
 pub use queries::{
     ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, judge_together,
-    localize_images, localize_posed_images, localize_recording,
+    localize_images, localize_posed_images, localize_recording, localize_recording_in_stages,
 };
 pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

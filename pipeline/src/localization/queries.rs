@@ -14,6 +14,7 @@ use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
 use crate::frames::{FeatureFrame, read_frames};
+use crate::kept_stages::KeptStages;
 use crate::posed_images::{PosedImages, read_image};
 
 /// What became of one image, beside the pose its list gives.
@@ -219,10 +220,22 @@ pub fn localize_recording(
     detector: &FeatureDetector,
     progress: ProgressFn,
 ) -> Result<WalkLocalization, Error> {
+    let stages = KeptStages::none();
+    localize_recording_in_stages(localizer, recording, detector, &stages, progress)
+}
+
+/// [`localize_recording`], going on behind what is kept of it.
+pub fn localize_recording_in_stages(
+    localizer: &Localizer,
+    recording: &Recording,
+    detector: &FeatureDetector,
+    stages: &KeptStages,
+    progress: ProgressFn,
+) -> Result<WalkLocalization, Error> {
     let rig = recording.rig()?;
     localizer.map().expect_feature(&detector.feature())?;
-    let read = read_frames(recording, &rig, detector, progress)?;
-    let found = localize_frames(localizer, &read.frames, &rig, progress)?;
+    let read = read_frames(recording, &rig, detector, stages, progress)?;
+    let found = localize_frames(localizer, &read.frames, &rig, stages, progress)?;
     let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
     let found = refuse_contradicted(&times, found);
     let instants = read.frames.iter().zip(found);
@@ -237,23 +250,33 @@ pub fn localize_recording(
     })
 }
 
+/// Frames whose answers are kept together: enough for all threads, little enough to lose.
+const PART: usize = 64;
+
 /// Localizes each frame of a walk on its own, in their order; the focal lengths of the rig are judged by all of them.
 pub(crate) fn localize_frames(
     localizer: &Localizer,
     frames: &[FeatureFrame],
     rig: &Rig,
+    stages: &KeptStages,
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
-    let done = AtomicU64::new(0);
-    let localized = frames.par_iter().map(|frame| {
-        let found = localizer.localize(&frame.features, rig);
-        progress(Progress {
-            stage: "localization",
-            done: done.fetch_add(1, Ordering::Relaxed) + 1,
-            total: frames.len() as u64,
+    let mut found = Vec::with_capacity(frames.len());
+    for (number, part) in frames.chunks(PART).enumerate() {
+        let done = AtomicU64::new(found.len() as u64);
+        let of_part: Vec<_> = stages.once(&format!("localized_{number:05}"), || {
+            let localized = part.par_iter().map(|frame| {
+                let found = localizer.localize(&frame.features, rig);
+                progress(Progress {
+                    stage: "localization",
+                    done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                    total: frames.len() as u64,
+                })?;
+                Ok(found)
+            });
+            localized.collect::<Result<Vec<_>, Error>>()
         })?;
-        Ok(found)
-    });
-    let found: Result<Vec<_>, Error> = localized.collect();
-    Ok(judge_together(found?, localizer.min_probability()))
+        found.extend(of_part);
+    }
+    Ok(judge_together(found, localizer.min_probability()))
 }

@@ -1,27 +1,12 @@
 //! The stages of a map as they are kept.
 
 use lsfb_geometry::StampedPose;
-use serde::{Deserialize, Serialize};
 
 use super::keyframes::{Keyframe, Keyframes};
 use super::{MappingReport, Optimised, Rounds};
 use crate::features::{Features, Keypoint};
 use crate::hd_map::{KeyframeImage, MapPoint, PointObservation};
-use crate::kept_stages::{ByteReader, Keep};
-
-/// A type whose fields are kept one after the other.
-macro_rules! keep_fields {
-    ($($kept:ident { $($field:ident),* })*) => {$(
-        impl Keep for $kept {
-            fn put(&self, out: &mut Vec<u8>) {
-                $(self.$field.put(out);)*
-            }
-            fn take(from: &mut ByteReader<'_>) -> Option<Self> {
-                Some(Self { $($field: Keep::take(from)?),* })
-            }
-        }
-    )*};
-}
+use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
 
 keep_fields! {
     Keypoint { pixel, scale_px, angle_rad, response }
@@ -55,22 +40,14 @@ impl Keep for Keyframes {
     }
 }
 
-/// A report in TOML, whose numbers come back bit for bit, those that are none as well.
-#[derive(Serialize, Deserialize)]
-struct Told<R> {
-    report: R,
-}
-
 impl Keep for MappingReport {
     fn put(&self, out: &mut Vec<u8>) {
-        // What is no TOML is not read back, and computed again.
-        let text = toml::to_string(&Told { report: self });
-        text.unwrap_or_default().put(out);
+        put_told(self, out);
         self.reprojection_errors_px.put(out);
     }
 
     fn take(from: &mut ByteReader<'_>) -> Option<Self> {
-        let Told { report } = toml::from_str::<Told<Self>>(&String::take(from)?).ok()?;
+        let report: Self = take_told(from)?;
         Some(Self {
             reprojection_errors_px: Vec::take(from)?,
             ..report

@@ -8,8 +8,8 @@ use lsfb_pipeline::ground_truth::{Sight, TrackedFrame, TrackedWalk};
 use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
 
-use crate::table::{lines, number};
-use crate::vimap::sample;
+use super::table::{lines, number};
+use super::vimap::sample;
 
 /// Focal length given to the undistorted coordinates, so that errors are in the camera's pixels.
 const FOCAL_PX: f64 = 458.0;

@@ -11,7 +11,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::vimap::sample;
+use super::vimap::sample;
 
 const SECS: f64 = 7.0;
 const FRAME_SECS: f64 = 0.1;

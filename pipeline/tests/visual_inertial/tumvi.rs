@@ -13,8 +13,8 @@ use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
 use nalgebra::Quaternion;
 use serde_json::Value;
 
-use crate::table::number;
-use crate::vimap::sample;
+use super::table::number;
+use super::vimap::sample;
 
 const KEYFRAME_SECS: f64 = 0.1;
 

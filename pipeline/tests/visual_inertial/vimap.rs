@@ -13,7 +13,7 @@ use lsfb_pipeline::preintegration::{ImuBias, NavState};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::Quaternion;
 
-use crate::table::{nanos, rows};
+use super::table::{nanos, rows};
 
 /// Tracks with the states that an odometry gave.
 pub struct VisualInertialMap {

@@ -157,11 +157,11 @@ fn write_clocks(
         out.display()
     );
     let again = verify(recording, rig, config, &|p| context.show(p))?;
-    let misfit = again
+    let failed = again
         .checks
         .iter()
         .find(|c| c.code == "time-offset" && c.outcome == Verdict::Fail);
-    if let Some(check) = misfit {
+    if let Some(check) = failed {
         bail!(
             "{}: not written, with the measured clocks the rig does not fit either: {}: {}",
             out.display(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::ground_truth::{
-    GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth,
+    GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth_in_stages,
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
@@ -39,7 +39,8 @@ use crate::standing;
 /// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
 /// camera's, or axes are wrong, and the walk is bent.
 ///
-/// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
+/// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
+/// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
 ///
 /// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
@@ -151,10 +152,9 @@ impl WalkJob<'_> {
         claim(&cross_check)?;
         claim(&states)?;
         claim(&motion)?;
-        let found = super::about(
-            self.recording,
-            ground_truth(&walk, &hd_map, &config, &|p| context.show(p)),
-        )?;
+        let stages = context.kept_stages(self.out, &provenance)?;
+        let found = ground_truth_in_stages(&walk, &hd_map, &config, &stages, &|p| context.show(p));
+        let found = super::about(self.recording, stages.kept_if_stopped(found))?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
         let poses = found.trajectory.poses().iter().zip(&found.covariances);
@@ -165,6 +165,7 @@ impl WalkJob<'_> {
         provenance.write(self.out)?;
         let beside = [covariances, cross_check, states, motion];
         standing::finish(&[self.out], &beside, &provenance, &found.report)?;
+        stages.remove()?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,
             report: found.report,

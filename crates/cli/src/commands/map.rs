@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map_in_stages};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_recording::{Provenance, write_tum};
@@ -200,13 +199,7 @@ impl MapJob<'_> {
             });
         }
         outputs.iter().try_for_each(|result| claim(result))?;
-        let stages = self.kept_stages(&provenance)?;
-        if stages.has_any() {
-            context.note(&format!(
-                "{}: goes on where it was stopped",
-                self.out.display()
-            ));
-        }
+        let stages = context.kept_stages(self.out, &provenance)?;
         let result = super::about(
             self.recording,
             build_map_in_stages(&scan, self.config, &stages, &|p| context.show(p)),
@@ -241,17 +234,6 @@ impl MapJob<'_> {
             reprojection_errors_px: said.reprojection_errors_px,
             provenance,
         })
-    }
-}
-
-impl MapJob<'_> {
-    /// What was finished of this map before it was stopped, in `OUT.unfinished`.
-    fn kept_stages(&self, made_from: &Provenance) -> anyhow::Result<KeptStages> {
-        let mut name = self.out.file_name().unwrap_or_default().to_os_string();
-        name.push(".unfinished");
-        let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;
-        let folder = self.out.with_file_name(name);
-        Ok(KeptStages::in_folder(&folder, &made_from)?)
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use lsfb_datasets::import::{ImportConfig, import};
 use lsfb_geometry::Rig;
 use lsfb_pipeline::ground_truth::{
-    Beginning, MotionConfig, MotionReport, RecordedMotion, motion_of_recording,
+    Beginning, MotionConfig, MotionReport, RecordedMotion, motion_of_recording_in_stages,
 };
 use lsfb_recording::{Provenance, write_tum};
 use lsfb_types::{Judgement, Verdict};
@@ -32,6 +32,8 @@ use crate::standing;
 /// Stretches in which too little can be followed (darkness, a covered lens) have no poses; then the exit code is 3. A camera that is not
 /// where or as the rig says bends the motion: the finding camera-off names it, with exit code 4 where that is certain. Images and IMU that
 /// do not belong together are refused.
+///
+/// Stopped after all images were followed, the same command goes on from there: the tracks are kept in WALK.tum.unfinished until then.
 ///
 /// Examples:
 ///   lsfb vio walk.mcap --out walk.tum
@@ -131,11 +133,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             read.extend(arguments.rig.as_deref());
             context.claim(&arguments.out, &read)?;
             context.claim(&covariances, &read)?;
-            let found = super::about(
-                &arguments.walk,
-                motion_of_recording(&recording, &rig, &config, &|p| context.show(p)),
-            )?;
+            let stages = context.kept_stages(&arguments.out, &provenance)?;
+            let show = |p| context.show(p);
+            let found = motion_of_recording_in_stages(&recording, &rig, &config, &stages, &show);
+            let found = super::about(&arguments.walk, stages.kept_if_stopped(found))?;
             write(arguments, &covariances, &found, &provenance)?;
+            stages.remove()?;
             found.report
         }
     };

@@ -10,7 +10,7 @@ use nix::unistd::Pid;
 use tempfile::NamedTempFile;
 
 /// Whatever takes this long has failed.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_secs(240);
 
 /// A process, and what it says on stderr.
 pub struct Running {

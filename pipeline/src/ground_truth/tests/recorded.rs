@@ -4,13 +4,16 @@ use std::path::Path;
 
 use lsfb_geometry::{Rig, StampedPose};
 use lsfb_recording::{Recording, Writer, WriterConfig};
-use lsfb_types::Image;
+use lsfb_types::{Image, Progress, Stopped};
 
 use super::*;
 use crate::features::{FeatureDetector, SiftConfig};
+use crate::ground_truth::ground_truth_in_stages;
 use crate::hd_map::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
 };
+use crate::kept_stages::KeptStages;
+use crate::localization::{Localization, NotLocalized, NotLocalizedReason};
 
 /// Smooth random paint, different for each `seed`: three octaves of value noise.
 fn paint(seed: u64, face: u64, u: f64, v: f64) -> f64 {
@@ -243,6 +246,44 @@ pub(super) fn run(path: &Path, map: &HdMap) -> Result<GroundTruth, Error> {
     ground_truth(&recording, map, &GroundTruthConfig::default(), &no_progress)
 }
 
+/// Stopped in the stages that take longest; and what was kept of them is what is taken.
+fn stopped_it_goes_on_to_the_same(path: &Path, map: &HdMap, whole: &GroundTruth) {
+    let recording = Recording::open(path).expect("recording");
+    let folder = path.with_extension("unfinished");
+    let kept = || KeptStages::in_folder(&folder, "walk").expect("folder");
+    let go_on = |stop: &str| {
+        let progress = |p: Progress| match p.stage == stop {
+            true => Err(Stopped),
+            false => Ok(()),
+        };
+        let config = GroundTruthConfig::default();
+        ground_truth_in_stages(&recording, map, &config, &kept(), &progress)
+    };
+    for (stage, is_kept) in [
+        ("image features", "features_00000"),
+        ("localization", "features_00000"),
+        ("cross-check", "localized_00000"),
+    ] {
+        let stopped = go_on(stage);
+        assert!(matches!(stopped, Err(Error::Stopped(_))), "{stage}");
+        assert!(folder.join(is_kept).with_extension("stage").exists());
+    }
+    assert_eq!(go_on("").expect("ground truth"), *whole);
+
+    let nowhere = || -> Result<Localization, _> {
+        Err(NotLocalized {
+            reason: NotLocalizedReason::NoPlace { votes: 1 },
+        })
+    };
+    let answers: Vec<_> = (0..WALK_FRAMES).map(|_| nowhere()).collect();
+    kept().keep("localized_00000", &answers).expect("kept");
+    let refused = go_on("").expect_err("nowhere");
+    assert!(
+        matches!(refused, Error::NotLocalized { localized: 0, .. }),
+        "{refused}"
+    );
+}
+
 #[test]
 fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
     let folder = tempfile::tempdir().expect("folder");
@@ -268,6 +309,8 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
         let information = covariance.try_inverse().expect("determined");
         assert!(error.dot(&(information * error)) < 60.0, "{t} s: {error}");
     }
+
+    stopped_it_goes_on_to_the_same(&path, &map, &found);
 
     // Certain to a micrometre is nothing.
     let strict = GroundTruthConfig {

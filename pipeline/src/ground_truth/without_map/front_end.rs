@@ -89,6 +89,11 @@ impl FrontEnd {
         }
     }
 
+    /// The samples that it was given.
+    pub(super) fn imu(&self) -> &[Stamped<ImuSample>] {
+        &self.imu
+    }
+
     /// What was followed.
     pub fn finish(self) -> TrackedWalk {
         TrackedWalk {

@@ -35,7 +35,7 @@ use blind::blind_stretches;
 pub use config::MotionConfig;
 use extension::Extension;
 pub use front_end::FrontEnd;
-pub use recorded::{RecordedMotion, motion_of_recording};
+pub use recorded::{RecordedMotion, motion_of_recording, motion_of_recording_in_stages};
 pub use report::MotionReport;
 use sights::Tracks;
 use uncertainty::uncertainty;

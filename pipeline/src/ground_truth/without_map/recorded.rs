@@ -7,12 +7,13 @@ use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 use super::measured::{Measured, longest_measured};
 use super::report::{LeftOut, MotionReport, Read, left_out};
 use super::turns::check_turns;
-use super::{FrontEnd, MotionConfig, TrackedWalk, motion_without_map};
+use super::{FrontEnd, MotionConfig, Sight, TrackedFrame, TrackedWalk, motion_without_map};
 use crate::Error;
 use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
 use crate::ground_truth::frozen_samples;
 use crate::ground_truth::report::GroundTruthWarning;
+use crate::kept_stages::{KeptStages, keep_fields};
 
 /// The motion of a recorded walk, where it can be believed.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,8 +38,19 @@ pub fn motion_of_recording(
     config: &MotionConfig,
     progress: ProgressFn<'_>,
 ) -> Result<RecordedMotion, Error> {
+    motion_of_recording_in_stages(recording, rig, config, &KeptStages::none(), progress)
+}
+
+/// [`motion_of_recording`], going on behind what is kept of it: what was followed through the images.
+pub fn motion_of_recording_in_stages(
+    recording: &Recording,
+    rig: &Rig,
+    config: &MotionConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<RecordedMotion, Error> {
     config.check_bounds("motion")?;
-    let (walk, read) = follow(recording, rig, config, progress)?;
+    let (walk, read) = follow(recording, rig, config, stages, progress)?;
     let frames = walk.frames.len();
     let first = walk.frames.first().map(|f| f.time);
     let Measured {
@@ -110,6 +122,7 @@ fn follow(
     recording: &Recording,
     rig: &Rig,
     config: &MotionConfig,
+    stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<(TrackedWalk, Read), Error> {
     let missing = |sensor| Error::SensorMissing {
@@ -131,12 +144,42 @@ fn follow(
         frozen_secs,
         ..Read::default()
     };
-    let total = total_images(recording, &names);
-    let cameras = rig.cameras.values().cloned().collect();
-    let mut front_end = FrontEnd::new(cameras, imu.clone(), noise.clone(), config.frame_secs);
+    let cameras: Vec<_> = rig.cameras.values().cloned().collect();
+    let noise = noise.clone();
+    let (frames, read) = stages.once("followed", || {
+        let (cameras, imu) = (cameras.clone(), imu.clone());
+        let mut front_end = FrontEnd::new(cameras, imu, noise.clone(), config.frame_secs);
+        follow_images(recording, rig, &names, &mut front_end, &mut read, progress)?;
+        Ok((front_end.finish().frames, read))
+    })?;
+    let walk = TrackedWalk {
+        cameras,
+        frames,
+        imu,
+        noise,
+    };
+    Ok((walk, read))
+}
+
+keep_fields! {
+    Sight { track, camera, pixel }
+    TrackedFrame { time, sights }
+    Read { images, damaged_images, damaged_samples, repeated_stamps, frozen_images, frozen_secs }
+}
+
+/// Pushes the images of each instant into the front end.
+fn follow_images(
+    recording: &Recording,
+    rig: &Rig,
+    names: &[&str],
+    front_end: &mut FrontEnd,
+    read: &mut Read,
+    progress: ProgressFn<'_>,
+) -> Result<(), Error> {
+    let total = total_images(recording, names);
     let mut last: Vec<Option<(Timestamp, Image)>> = vec![None; names.len()];
     let mut instant: Option<Instant> = None;
-    for item in recording.images_of(&names)? {
+    for item in recording.images_of(names)? {
         let Ok(item) = item else {
             read.damaged_images += 1;
             continue;
@@ -158,7 +201,7 @@ fn follow(
             continue;
         }
         // An image that is left out still is an instant at which nothing is seen.
-        let shown = match is_frozen(last[camera].as_ref(), time, &image, &imu) {
+        let shown = match is_frozen(last[camera].as_ref(), time, &image, front_end.imu()) {
             true => {
                 read.frozen_images += 1;
                 None
@@ -183,13 +226,13 @@ fn follow(
         };
         next.images[camera] = shown;
         if let Some(done) = instant.replace(next) {
-            done.push_into(&mut front_end);
+            done.push_into(front_end);
         }
     }
     if let Some(done) = instant {
-        done.push_into(&mut front_end);
+        done.push_into(front_end);
     }
-    Ok((front_end.finish(), read))
+    Ok(())
 }
 
 /// Images of one trigger.

@@ -7,8 +7,9 @@ use anyhow::Context as _;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_pipeline::features::FeatureDetector;
 use lsfb_pipeline::hd_map::HdMap;
+use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{
-    Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording,
+    Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording_in_stages,
 };
 use lsfb_pipeline::posed_images::{PosedImages, read_image, rig_of};
 use lsfb_recording::{Provenance, Recording};
@@ -188,7 +189,7 @@ impl Input {
         }
     }
 
-    /// Images that the same command localized before it was stopped; `None` of a walk, of which nothing is kept.
+    /// Images that the same command localized before it was stopped; `None` of a walk, which is kept otherwise.
     pub fn unfinished(
         &self,
         result: &Path,
@@ -198,20 +199,33 @@ impl Input {
         let Self::Images { rig, .. } = self else {
             return Ok(None);
         };
-        let mut made_from = Provenance::new(config);
-        // The map's header has the hashes of its other files, and names the feature with its weights.
-        made_from.add_input(&map.join(HdMap::HEADER))?;
-        made_from.add_rig(rig);
+        let made_from = made_from(map, rig, config)?;
         let program = crate::standing::program_sha256()?;
         Ok(Some(Unfinished::open(result, program, &made_from)?))
     }
 
-    /// Localizes each frame, but for images that are known from before.
+    /// What the same command finished of a walk before it was stopped.
+    pub fn kept_stages(
+        &self,
+        result: &Path,
+        map: &Path,
+        config: &LocalizerConfig,
+        context: &Context,
+    ) -> anyhow::Result<KeptStages> {
+        let Self::Walk { walk, rig } = self else {
+            return Ok(KeptStages::none());
+        };
+        let mut made_from = made_from(map, rig, config)?;
+        made_from.add_input(walk.path())?;
+        context.kept_stages(result, &made_from)
+    }
+
+    /// Localizes each frame, but for those that are known from before.
     pub fn localize(
         &self,
         localizer: &Localizer,
         detector: &FeatureDetector,
-        unfinished: Option<&mut Unfinished>,
+        kept: Kept,
         context: &Context,
     ) -> anyhow::Result<Found> {
         match self {
@@ -242,7 +256,7 @@ impl Input {
                     });
                     Ok(frames.collect())
                 };
-                let mut frames = match unfinished {
+                let mut frames = match kept.images {
                     Some(unfinished) => unfinished.complete(&asked, localize)?,
                     None => localize(0, &asked)?,
                 };
@@ -260,7 +274,10 @@ impl Input {
                 })
             }
             Self::Walk { walk, .. } => {
-                let found = localize_recording(localizer, walk, detector, &|p| context.show(p))?;
+                let show = |p| context.show(p);
+                let found =
+                    localize_recording_in_stages(localizer, walk, detector, kept.walk, &show);
+                let found = kept.walk.kept_if_stopped(found)?;
                 let frames = found.instants.iter();
                 Ok(Found {
                     frames: frames
@@ -272,6 +289,21 @@ impl Input {
             }
         }
     }
+}
+
+/// What is known of images, or of a walk, from before.
+pub struct Kept<'a> {
+    pub images: Option<&'a mut Unfinished>,
+    pub walk: &'a KeptStages,
+}
+
+/// Map, rig and settings.
+fn made_from(map: &Path, rig: &Rig, config: &LocalizerConfig) -> anyhow::Result<Provenance> {
+    let mut made_from = Provenance::new(config);
+    // The map's header has the hashes of its other files, and names the feature with its weights.
+    made_from.add_input(&map.join(HdMap::HEADER))?;
+    made_from.add_rig(rig);
+    Ok(made_from)
 }
 
 /// The frames, and how many images or messages were damaged.

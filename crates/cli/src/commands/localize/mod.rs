@@ -9,6 +9,7 @@ mod unfinished;
 use std::path::PathBuf;
 
 use lsfb_pipeline::hd_map::HdMap;
+use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
 use lsfb_types::median;
 use serde::Serialize;
@@ -17,14 +18,14 @@ use super::models::ModelFolder;
 use crate::context::Context;
 use crate::outcome::Outcome;
 use frames::Frame;
-use input::Input;
+use input::{Input, Kept};
 use unfinished::Unfinished;
 
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
 /// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
 /// 0.99. A folder of images needs the intrinsics of its camera: K.txt in it, or --rig. With --out, the same command continues behind
-/// the images that it had localized when it was stopped.
+/// the images that it had localized when it was stopped: they are kept in OUT.unfinished until then.
 ///
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
@@ -143,7 +144,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             "going on behind {before} images that were localized before"
         ));
     }
-    let found = input.localize(&localizer, &detector, unfinished.as_mut(), context)?;
+    let stages = match (&arguments.out, arguments.explain) {
+        (Some(out), None) => input.kept_stages(out, &map, &config, context)?,
+        _ => KeptStages::none(),
+    };
+    let kept = Kept {
+        images: unfinished.as_mut(),
+        walk: &stages,
+    };
+    let found = input.localize(&localizer, &detector, kept, context)?;
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
         // Of a folder of images it is the only one by now.
         let frame = if found.times.is_empty() { 0 } else { frame };
@@ -162,6 +171,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(unfinished) = unfinished {
         unfinished.remove()?;
     }
+    stages.remove()?;
     let summary = summary(found.frames, &input, localizer.map());
     if let Some(path) = &arguments.out_report {
         let times = &found.times;

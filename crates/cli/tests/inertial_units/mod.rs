@@ -1,4 +1,5 @@
 //! Units whose packets are made here: played in one process, recorded in another, unplugged.
 
-mod running;
-mod units;
+mod buses;
+mod recorded;
+mod told_at_once;

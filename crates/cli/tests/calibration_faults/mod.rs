@@ -3,15 +3,14 @@
 
 mod before_a_lidar;
 mod board_walk;
-mod process;
 mod small_board;
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use board_walk::{FISHEYE, GRID, ORIGIN_NS, Sample, Tags, Walk, write_samples};
+use self::board_walk::{FISHEYE, GRID, ORIGIN_NS, Sample, Tags, Walk, write_samples};
+use crate::process::lsfb;
 use lsfb_geometry::camera::Lens;
-use process::lsfb;
 use serde_json::Value;
 use tempfile::TempDir;
 

@@ -1,3 +1,0 @@
-mod buses;
-mod recorded;
-mod told_at_once;
