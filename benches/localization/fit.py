@@ -22,7 +22,8 @@ WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 
                 "focal length +25 %", "focal length +100 %")
 # What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
 FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
-DECADES_TOGETHER = {"sift": 0.028}
+FAR_LOG, FAR_DECADES = 0.035, 12.0
+DECADES_TOGETHER = {"sift": 0.020}
 DECADES_TOGETHER_LEARNED = 0.075
 
 
@@ -40,7 +41,9 @@ def evidence(row):
 def against_likeness(row):
     """Probability that the matches are not wrong together, and that no mirror explains them better."""
     false_alarms = float(row["log10_false_alarms"])
-    decades = max(-false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"]), 1e-9)
+    decades = -false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"])
+    above_decoys = np.log((float(row["guided_inliers"]) + 1) / (float(row["decoy_inliers"]) + 1))
+    decades = max(decades * max(above_decoys, 0), 1e-9)
     mirror = float(row.get("log10_false_alarms_mirrored", 0))
     together = DECADES_TOGETHER.get(row["feature"], DECADES_TOGETHER_LEARNED)
     return 1 / (1 + (together / decades) ** 6) / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))
@@ -54,7 +57,8 @@ def is_right(row):
 def focal_contradicted(row):
     log_scale = abs(np.log(float(row["focal_scale"])))
     surely = log_scale > FOCAL_SIGMAS * float(row["focal_log_sigma"])
-    return log_scale > FOCAL_LOG and surely and float(row.get("focal_decades", 99)) > FOCAL_DECADES
+    decades = float(row.get("focal_decades", 99))
+    return (log_scale > FOCAL_LOG and surely and decades > FOCAL_DECADES) or (log_scale > FAR_LOG and decades > FAR_DECADES)
 
 
 def fit(terms, right):

@@ -65,6 +65,7 @@ fn another_focal_length_must_fit_for_sure() {
     let (unsure, no_better) = (
         Evidence {
             focal_log_sigma: 0.3,
+            focal_decades: 10.0,
             ..resized
         },
         Evidence {
@@ -73,6 +74,14 @@ fn another_focal_length_must_fit_for_sure() {
         },
     );
     assert!(!unsure.contradicts_focal_length() && !no_better.contradicts_focal_length());
+    // An image of the office with a focal length a tenth off, 15 cm off itself: its matches hardly say by how much, but that they do.
+    let a_tenth_off = Evidence {
+        focal_scale: 0.927,
+        focal_log_sigma: 0.069,
+        focal_decades: 16.9,
+        ..as_calibrated
+    };
+    assert!(a_tenth_off.contradicts_focal_length());
 }
 
 #[test]
@@ -127,6 +136,25 @@ fn a_picture_that_hangs_in_another_room_is_no_place() {
         rival_inliers: 0,
     };
     assert!(picture.probability() < 0.9);
+    // Most of what such a picture reached, with as much found beside its points as ever.
+    let most = Evidence {
+        log10_false_alarms: -148.0,
+        ..picture
+    };
+    assert!(most.probability() < 0.95);
+    // The office, 1.7 cm off: a fifth of the image agrees, and four times as much is found with the pose as beside it.
+    let in_part = Evidence {
+        first_matches: 136,
+        first_inliers: 17,
+        log10_false_alarms: -20.65,
+        log10_false_alarms_mirrored: -11.7,
+        guided_inliers: 49,
+        decoy_inliers: 10.8,
+        image_spread: 0.253,
+        first_spread: 0.217,
+        ..picture
+    };
+    assert!(in_part.probability() > 0.99);
     // The kitchen of 7-Scenes, 2.8 cm off: few agree, but all over the image.
     let scattered = Evidence {
         first_matches: 371,
