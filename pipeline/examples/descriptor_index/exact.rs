@@ -38,10 +38,7 @@ pub fn nearest(
         let piece = base.read(from..base.len().min(from + PIECE))?;
         best.par_iter_mut().zip(asked).for_each(|(best, query)| {
             let places = piece.iter().zip(from as u32..);
-            let farthest = match best.get(NEAREST - 1) {
-                Some((farthest, _)) => *farthest,
-                None => u32::MAX,
-            };
+            let farthest = best.get(NEAREST - 1).map_or(u32::MAX, |b| b.0);
             let distances = places.map(|(d, place)| (distance_squared(query, d), place));
             best.extend(distances.filter(|(distance, _)| *distance <= farthest));
             best.sort_unstable();
