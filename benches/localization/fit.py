@@ -23,7 +23,7 @@ WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 
 # What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
 FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
 FAR_LOG, FAR_DECADES = 0.035, 12.0
-DECADES_TOGETHER = {"sift": 0.020}
+DECADES_TOGETHER = {"sift": 0.028}
 DECADES_TOGETHER_LEARNED = 0.075
 
 
@@ -41,9 +41,7 @@ def evidence(row):
 def against_likeness(row):
     """Probability that the matches are not wrong together, and that no mirror explains them better."""
     false_alarms = float(row["log10_false_alarms"])
-    decades = -false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"])
-    above_decoys = np.log((float(row["guided_inliers"]) + 1) / (float(row["decoy_inliers"]) + 1))
-    decades = max(decades * max(above_decoys, 0), 1e-9)
+    decades = max(-false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"]), 1e-9)
     mirror = float(row.get("log10_false_alarms_mirrored", 0))
     together = DECADES_TOGETHER.get(row["feature"], DECADES_TOGETHER_LEARNED)
     return 1 / (1 + (together / decades) ** 6) / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))

@@ -53,7 +53,7 @@ fn held_out_images_are_localized() {
         map.point_count(),
     );
     println!("{figures}");
-    assert!(right + 1 >= found.len(), "{figures}");
+    assert!(right as f64 >= 0.90 * found.len() as f64, "{figures}");
     assert!(median_m.is_some_and(|m| m <= 0.03), "{figures}");
     // Hardly a wrong pose either: better none.
     assert!(distances_m.len() <= right + 1, "{figures}");
