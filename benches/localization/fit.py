@@ -22,6 +22,7 @@ WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 
                 "focal length +25 %", "focal length +100 %")
 # What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
 FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
+FAR_LOG, FAR_DECADES = 0.035, 12.0
 DECADES_TOGETHER = {"sift": 0.028}
 DECADES_TOGETHER_LEARNED = 0.075
 
@@ -54,7 +55,8 @@ def is_right(row):
 def focal_contradicted(row):
     log_scale = abs(np.log(float(row["focal_scale"])))
     surely = log_scale > FOCAL_SIGMAS * float(row["focal_log_sigma"])
-    return log_scale > FOCAL_LOG and surely and float(row.get("focal_decades", 99)) > FOCAL_DECADES
+    decades = float(row.get("focal_decades", 99))
+    return (log_scale > FOCAL_LOG and surely and decades > FOCAL_DECADES) or (log_scale > FAR_LOG and decades > FAR_DECADES)
 
 
 def fit(terms, right):

@@ -38,7 +38,9 @@ pub fn nearest(
         let piece = base.read(from..base.len().min(from + PIECE))?;
         best.par_iter_mut().zip(asked).for_each(|(best, query)| {
             let places = piece.iter().zip(from as u32..);
-            best.extend(places.map(|(d, place)| (distance_squared(query, d), place)));
+            let farthest = best.get(NEAREST - 1).map_or(u32::MAX, |b| b.0);
+            let distances = places.map(|(d, place)| (distance_squared(query, d), place));
+            best.extend(distances.filter(|(distance, _)| *distance <= farthest));
             best.sort_unstable();
             *best = best[..best.len().min(NEAREST)].to_vec();
         });

@@ -3,9 +3,12 @@
 use std::path::PathBuf;
 
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector3};
+use lsfb_perception::image::{self, ImageError};
 use lsfb_pipeline::features::Features;
 use lsfb_pipeline::posed_images::PosedImage;
 use lsfb_types::Image;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use crate::places::Place;
 
@@ -28,13 +31,21 @@ pub enum Disturbance {
     Tenth,
     /// With every thirtieth of its features only.
     Thirtieth,
+    /// 60 % of it exchanged for pieces of other images of the place: of what is seen so much stands elsewhere in the map.
+    Changed,
     /// Left and right exchanged: no camera sees this.
     Mirrored,
 }
 
+/// Focal lengths that are off by so much, in per cent, are also judged among images of the right size: a few that were resized.
+pub const AMONG_OTHERS: [i32; 2] = [-10, 10];
+/// Pieces of an image, along and across, and how many of them are exchanged.
+const PIECES: [u32; 2] = [5, 4];
+const EXCHANGED: usize = 12;
+
 impl Disturbance {
     /// Those that leave the pixels as they are follow one another.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::None,
         Self::WrongFocal(-20),
         Self::WrongFocal(-10),
@@ -49,10 +60,12 @@ impl Disturbance {
         Self::Half,
         Self::HalfWithWrongMatrix,
         Self::HalfInFrame,
+        Self::Changed,
         Self::Mirrored,
     ];
 
-    fn name(self) -> String {
+    /// Name of the row of the table.
+    pub fn name(self) -> String {
         let name = match self {
             Self::None => "left out",
             Self::Turned => "turned by 180°",
@@ -62,6 +75,7 @@ impl Disturbance {
             Self::WrongFocal(percent) => return format!("focal length {percent:+} %"),
             Self::Tenth => "every 10th feature",
             Self::Thirtieth => "every 30th feature",
+            Self::Changed => "60 % changed",
             Self::Mirrored => "mirrored",
         };
         name.to_owned()
@@ -76,6 +90,8 @@ pub struct Query {
     disturbance: Option<Disturbance>,
     /// Where it was taken; `None` where no pose is right.
     pub world_from_rig: Option<Se3>,
+    /// Other images of the place, for [`Disturbance::Changed`].
+    others: Vec<PathBuf>,
 }
 
 impl Query {
@@ -93,6 +109,10 @@ impl Query {
                 Disturbance::Turned => Some(pose * turned),
                 _ => Some(pose),
             },
+            others: match disturbance {
+                Disturbance::Changed => place.images().filter(|p| *p != image.path).collect(),
+                _ => Vec::new(),
+            },
         }
     }
 
@@ -103,6 +123,7 @@ impl Query {
             camera: camera_of(place),
             disturbance: None,
             world_from_rig: None,
+            others: Vec::new(),
         }
     }
 
@@ -138,14 +159,14 @@ impl Query {
     }
 
     /// The image as the localizer gets it, with the camera that it is told.
-    pub fn disturbed(&self, image: Image) -> (Image, Camera) {
+    pub fn disturbed(&self, image: Image) -> Result<(Image, Camera), ImageError> {
         let Some(disturbance) = self.disturbance else {
             // Its own size, the field of view of the camera of the place.
             let zoom = f64::from(image.width) / f64::from(self.camera.width);
             let focal = self.camera.focal_px().map(|f| f * zoom);
             let centre = [image.width, image.height].map(|s| f64::from(s) / 2.0 - 0.5);
             let camera = Camera::pinhole(image.width, image.height, focal, centre);
-            return (image, camera);
+            return Ok((image, camera));
         };
         let (focal, [x, y]) = (self.camera.focal_px(), self.camera.principal_px());
         let (right, bottom) = (f64::from(image.width) - 1.0, f64::from(image.height) - 1.0);
@@ -153,7 +174,7 @@ impl Query {
             Camera::pinhole(image.width, image.height, focal, principal)
         };
         let whole = pinhole(&image, focal, [x, y]);
-        match disturbance {
+        Ok(match disturbance {
             Disturbance::None | Disturbance::Tenth | Disturbance::Thirtieth => (image, whole),
             Disturbance::Turned => {
                 let mut turned = image;
@@ -180,12 +201,47 @@ impl Query {
                 (half, camera)
             }
             Disturbance::HalfInFrame => (framed(&half_size(&image), &image), whole),
+            Disturbance::Changed => (self.changed(image)?, whole),
             Disturbance::WrongFocal(percent) => {
                 let factor = 1.0 + f64::from(percent) / 100.0;
                 let camera = pinhole(&image, focal.map(|f| f * factor), [x, y]);
                 (image, camera)
             }
+        })
+    }
+
+    /// With pieces of other images in it, each of another one and of another spot; the same ones each time.
+    fn changed(&self, mut image: Image) -> Result<Image, ImageError> {
+        let seed = self.name().into_bytes().into_iter();
+        let seed = seed.fold(0u64, |sum, b| sum.wrapping_mul(31).wrapping_add(b.into()));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (width, height) = (image.width / PIECES[0], image.height / PIECES[1]);
+        let corner = |piece: u32| [piece % PIECES[0] * width, piece / PIECES[0] * height];
+        let all = PIECES[0] * PIECES[1];
+        let mut pieces: Vec<u32> = (0..all).collect();
+        for taken in 0..EXCHANGED.min(pieces.len()) {
+            let (to, other) = (
+                rng.random_range(taken..pieces.len()),
+                rng.random_range(0..self.others.len().max(1)),
+            );
+            pieces.swap(taken, to);
+            let Some(other) = self.others.get(other) else {
+                continue;
+            };
+            let other = image::read(other)?;
+            if (other.width, other.height) != (image.width, image.height) {
+                continue;
+            }
+            let spot = (pieces[taken] + rng.random_range(1..all)) % all;
+            let ([to_x, to_y], [from_x, from_y]) = (corner(pieces[taken]), corner(spot));
+            for row in 0..height {
+                let from = ((from_y + row) * image.width + from_x) as usize;
+                let to = ((to_y + row) * image.width + to_x) as usize;
+                let piece = &other.pixels[from..from + width as usize];
+                image.pixels[to..to + width as usize].copy_from_slice(piece);
+            }
         }
+        Ok(image)
     }
 }
 

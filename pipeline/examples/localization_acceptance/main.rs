@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use disturbances::{Disturbance, Query};
+use disturbances::{AMONG_OTHERS, Disturbance, Query};
 use lsfb_geometry::Rig;
 use lsfb_networks::{Network, Trust};
 use lsfb_perception::image;
@@ -131,21 +131,45 @@ fn localize(
         queries.push(query);
         answers.push(found);
     }
-    let rows = of_kind.into_iter().flat_map(|(kind, (queries, answers))| {
+    let row = |kind: &str, query: &Query, found: &Answer| Row {
+        feature: feature.clone(),
+        place: place.name,
+        kind: kind.to_owned(),
+        image: query.name(),
+        outcome: Outcome::new(found, query, place),
+    };
+    let mut rows = Vec::new();
+    for percent in AMONG_OTHERS {
+        let kind = Disturbance::WrongFocal(percent).name();
+        let Some((odd, usual)) = of_kind
+            .get(&kind)
+            .zip(of_kind.get(&Disturbance::None.name()))
+        else {
+            continue;
+        };
+        for (query, answer) in odd.0.iter().zip(&odd.1) {
+            let others = usual.0.iter().zip(&usual.1);
+            let others = others.filter(|(other, _)| other.path != query.path);
+            let mut all: Vec<Answer> = others.map(|(_, answer)| answer.clone()).collect();
+            all.push(answer.clone());
+            let judged = judge_together(all, localizer.min_probability());
+            let judged = judged.last().unwrap_or(answer);
+            rows.push(row(&format!("{kind}, among others"), query, judged));
+        }
+    }
+    for (kind, (queries, answers)) in of_kind {
         let judged = match queries[0].is_elsewhere() {
             true => answers,
             false => judge_together(answers, localizer.min_probability()),
         };
-        let row = |(query, found): (&Query, Answer)| Row {
-            feature: feature.clone(),
-            place: place.name,
-            kind: kind.clone(),
-            image: query.name(),
-            outcome: Outcome::new(&found, query, place),
-        };
-        queries.into_iter().zip(judged).map(row).collect::<Vec<_>>()
-    });
-    Ok(rows.collect())
+        rows.extend(
+            queries
+                .into_iter()
+                .zip(&judged)
+                .map(|(query, found)| row(&kind, query, found)),
+        );
+    }
+    Ok(rows)
 }
 
 type Answer = Result<Localization, NotLocalized>;
@@ -219,7 +243,7 @@ fn answer(
     memory: &mut Memory,
 ) -> Result<Answer, String> {
     let image = image::read(&query.path).map_err(|e| e.to_string())?;
-    let (image, camera) = query.disturbed(image);
+    let (image, camera) = query.disturbed(image).map_err(|e| e.to_string())?;
     let mut rig: Rig = place.queries.rig.clone();
     for mounted in rig.cameras.values_mut() {
         mounted.camera = camera;

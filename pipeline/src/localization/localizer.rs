@@ -44,6 +44,14 @@ pub(super) struct Found {
     pub rival_inliers: usize,
 }
 
+/// A query with what the map says of it.
+struct Seen<'a> {
+    query: &'a Query<'a>,
+    /// Points that each feature of each frame may show.
+    candidates: &'a [Vec<Candidates>],
+    votes: &'a [Vote],
+}
+
 impl Localizer {
     /// A localizer in `map`; refuses a configuration without meaning.
     pub fn new(map: &HdMap, config: &LocalizerConfig) -> Result<Self, Error> {
@@ -114,45 +122,70 @@ impl Localizer {
                 KeypointGrid::new(keypoints, camera.width, camera.height, 2.0 * radius)
             })
             .collect();
+        let no_pose = NotLocalized {
+            reason: NotLocalizedReason::NoPose,
+        };
         let query = Query {
             map: &self.map,
             frames,
             grids: &grids,
             cameras: &cameras,
         };
+        let seen = Seen {
+            query: &query,
+            candidates: &candidates,
+            votes: &votes,
+        };
+        let (narrow, tried) = self
+            .best_at(&seen, self.config.place_images, 0)
+            .ok_or(no_pose)?;
+        let evidence = &narrow.evidence;
+        if narrow.probability >= self.config.min_probability
+            || evidence.contradicts_focal_length()
+            || evidence.log10_false_alarms > NO_CHANCE_LOG10
+        {
+            return Ok(narrow);
+        }
+        // Each of the images may overlap the view little, and more of them together enough.
+        let wide = self.best_at(&seen, WIDER * self.config.place_images, tried);
+        let wide = wide.map(|(wide, _)| doubted(wide, &narrow));
+        let better = wide.filter(|wide| wide.probability > narrow.probability);
+        Ok(better.unwrap_or(narrow))
+    }
+
+    /// The pose that most speaks for among places of so many images each, and how many places have been tried, those of before included.
+    fn best_at(
+        &self,
+        seen: &Seen,
+        place_images: usize,
+        tried_before: usize,
+    ) -> Option<(Localization, usize)> {
         let mut hypotheses: Vec<Hypothesis> = Vec::new();
         let mut tried: Vec<u32> = Vec::new();
-        let mut places = 0;
-        for vote in &votes {
-            let in_doubt = hypotheses
+        let mut places = tried_before;
+        let (max_places, in_doubt) = (self.config.max_places, self.config.max_places_in_doubt);
+        for vote in seen.votes {
+            let is_in_doubt = hypotheses
                 .iter()
                 .all(|h| h.agreement.log10_false_alarms(places) > NO_CHANCE_LOG10);
-            let most = match in_doubt {
-                true => self.config.max_places_in_doubt,
-                false => 0,
-            };
-            if places >= self.config.max_places.max(most) {
+            let most = if is_in_doubt { in_doubt } else { 0 };
+            if places - tried_before >= max_places.max(most) {
                 break;
             }
             if tried.contains(&vote.image) {
                 continue;
             }
             places += 1;
-            let place = self
-                .places
-                .neighbourhood(vote.image, self.config.place_images);
+            let place = self.places.neighbourhood(vote.image, place_images);
             let points = self.places.points_of(&place);
             tried.extend(&place);
-            hypotheses.extend(self.pose_at(&query, points, &candidates, vote));
+            hypotheses.extend(self.pose_at(seen.query, points, seen.candidates, vote));
         }
         // By what no pose searched for; the first of equals is that of the place with most votes.
         let unlikely_by_chance = |i: &usize| -hypotheses[*i].agreement.log10_false_alarms(places);
         let best = (0..hypotheses.len())
             .rev()
-            .max_by(|a, b| unlikely_by_chance(a).total_cmp(&unlikely_by_chance(b)))
-            .ok_or(NotLocalized {
-                reason: NotLocalizedReason::NoPose,
-            })?;
+            .max_by(|a, b| unlikely_by_chance(a).total_cmp(&unlikely_by_chance(b)))?;
         let best = hypotheses.swap_remove(best);
         let rivals = hypotheses.iter().filter(|h| {
             h.agreement.log10_false_alarms(places) < 0.0
@@ -164,9 +197,7 @@ impl Localizer {
             places,
             rival_inliers,
         };
-        self.judge(found, &query).ok_or(NotLocalized {
-            reason: NotLocalizedReason::NoPose,
-        })
+        Some((self.judge(found, seen.query)?, places))
     }
 
     /// The cameras of the frames: those of the map's own images as these showed them.
@@ -279,8 +310,21 @@ impl Localizer {
     }
 }
 
+/// Where a pose is neither chance nor probable, places of so many times as many images are tried.
+const WIDER: usize = 2;
+
 /// Decimal logarithm of the false alarms below which a pose was surely not found by chance.
 const NO_CHANCE_LOG10: f64 = -10.0;
+
+/// A pose with another as its rival, if they contradict each other.
+fn doubted(mut pose: Localization, other: &Localization) -> Localization {
+    if contradict(&pose.world_from_rig, &other.world_from_rig) {
+        let rival = &mut pose.evidence.rival_inliers;
+        *rival = other.evidence.first_inliers.max(*rival);
+        pose.probability = pose.evidence.probability();
+    }
+    pose
+}
 
 /// Poses that differ by more than this are two answers, not one with errors.
 const SAME_POSE_M: f64 = 0.5;

@@ -65,6 +65,7 @@ fn another_focal_length_must_fit_for_sure() {
     let (unsure, no_better) = (
         Evidence {
             focal_log_sigma: 0.3,
+            focal_decades: 10.0,
             ..resized
         },
         Evidence {
@@ -73,6 +74,14 @@ fn another_focal_length_must_fit_for_sure() {
         },
     );
     assert!(!unsure.contradicts_focal_length() && !no_better.contradicts_focal_length());
+    // An image of the office with a focal length a tenth off, 15 cm off itself: its matches hardly say by how much, but that they do.
+    let a_tenth_off = Evidence {
+        focal_scale: 0.927,
+        focal_log_sigma: 0.069,
+        focal_decades: 16.9,
+        ..as_calibrated
+    };
+    assert!(a_tenth_off.contradicts_focal_length());
 }
 
 #[test]

@@ -131,7 +131,7 @@ pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
 pub fn csv(frames: &[Frame]) -> String {
     let mut text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,position_sigma_m,\
                     rotation_sigma_deg,reprojection_rms_px,first_matches,first_inliers,log10_false_alarms,decoy_inliers,\
-                    rival_inliers"
+                    rival_inliers,image_spread,first_spread,log10_false_alarms_mirrored,focal_scale,focal_log_sigma,focal_decades"
         .to_owned();
     for row in 0..6 {
         for column in 0..6 {
@@ -154,7 +154,7 @@ pub fn csv(frames: &[Frame]) -> String {
 }
 
 /// Fields of a line before the reason.
-const EMPTY_FIELDS: usize = 20 + 36;
+const EMPTY_FIELDS: usize = 26 + 36;
 
 impl Pose {
     fn fields(&self) -> Vec<String> {
@@ -175,6 +175,12 @@ impl Pose {
             e.log10_false_alarms.to_string(),
             e.decoy_inliers.to_string(),
             e.rival_inliers.to_string(),
+            e.image_spread.to_string(),
+            e.first_spread.to_string(),
+            e.log10_false_alarms_mirrored.to_string(),
+            e.focal_scale.to_string(),
+            e.focal_log_sigma.to_string(),
+            e.focal_decades.to_string(),
         ]);
         fields.extend(self.covariance.iter().map(f64::to_string));
         fields
