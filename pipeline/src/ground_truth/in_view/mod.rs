@@ -44,9 +44,8 @@ const GROUP: usize = 12;
 /// Share of points that look most like themselves in their place, where they are there, by how many images of the map show them: two, three
 /// and so on; the last holds for more. What two images have in common is often no point at all, or is seen from hardly anywhere.
 const FOUND_WHERE_THERE: [f64; 5] = [0.5, 0.65, 0.75, 0.75, 0.85];
-/// So large, beside where the map's images show it smallest, a point is found like any; of smaller ones, as of what is smaller than the
-/// detector's finest scale, the share falls with this power of the size.
-const FULL_SIZE: f64 = 0.9;
+/// Of points that are smaller than the map's images show them anywhere, as of what is smaller than the detector's finest scale, that share
+/// falls with this power of the size.
 const FOUND_BY_SIZE: f64 = 1.5;
 /// Share of points that look most like themselves in their place, where they are not there.
 const FOUND_WHERE_ABSENT: f64 = 0.25;
@@ -81,7 +80,8 @@ impl InView {
 
     /// Whether so much is absent that this may be another place.
     pub fn is_doubtful(&self, config: &GroundTruthConfig) -> bool {
-        let is_enough = self.is_judged() || self.absent >= FEWEST_ABSENT;
+        // One group alone is no other place.
+        let is_enough = self.absent > GROUP && self.is_judged() || self.absent >= FEWEST_ABSENT;
         is_enough && self.absent as f64 > config.max_absent_share * self.certain() as f64
     }
 
@@ -241,7 +241,7 @@ impl Sought {
     fn likelihood(&self) -> f64 {
         let last = FOUND_WHERE_THERE.len() - 1;
         let there = FOUND_WHERE_THERE[self.images.saturating_sub(2).min(last)];
-        let there = there * (self.size / FULL_SIZE).min(1.0).powf(FOUND_BY_SIZE);
+        let there = there * self.size.min(1.0).powf(FOUND_BY_SIZE);
         let there = there.max(FOUND_WHERE_ABSENT);
         match self.is_found {
             true => (there / FOUND_WHERE_ABSENT).ln(),
