@@ -170,11 +170,9 @@ fn a_phones_tracks_fit_better() {
     );
     assert!(found.errors.rms_px <= before.rms_px && found.contradicted_share < 0.1);
     let given = poses(&map.states, &map.walk);
-    let (apart_m, alignment) = ate_m(
-        found.trajectory.poses(),
-        &Trajectory::new(given.clone()),
-        Scale::Free,
-    );
+    let before = Trajectory::new(given.clone());
+    let (apart_m, _) = ate_m(found.trajectory.poses(), &before, Scale::Fixed);
+    let (_, alignment) = ate_m(found.trajectory.poses(), &before, Scale::Free);
     println!(
         "{apart_m:.2} m from what was given, {:+.2} % of it",
         100.0 / alignment.scale - 100.0
