@@ -7,7 +7,7 @@ use super::in_view::FEWEST_CERTAIN;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
 /// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
-const USUAL_OF_ABSENT: f64 = 0.7;
+const USUAL_OF_ABSENT: f64 = 0.75;
 
 impl GroundTruthWarning {
     /// Whether something that was recorded could not be read.

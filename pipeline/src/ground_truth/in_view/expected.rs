@@ -21,6 +21,8 @@ const LARGEST_SCALE: f64 = 1.6;
 pub(super) struct Views<'a> {
     map: &'a HdMap,
     images: Vec<MapImage>,
+    /// Of each point how far away it was where it was smallest, metres a pixel of focal length.
+    smallest: Vec<f64>,
 }
 
 /// An image of the map.
@@ -41,7 +43,9 @@ impl<'a> Views<'a> {
     /// Of all points of a map.
     pub fn of(map: &'a HdMap) -> Self {
         let mut images: BTreeMap<(u32, u16), MapImage> = BTreeMap::new();
+        let mut smallest = Vec::with_capacity(map.point_count());
         for (point, point_in_world) in (0..).zip(map.positions()) {
+            let mut farthest = 0.0_f64;
             for seen in map.observations(point) {
                 let name = map.cameras().get(usize::from(seen.camera));
                 let mounted = name.and_then(|name| map.rig().cameras.get(name));
@@ -59,12 +63,22 @@ impl<'a> Views<'a> {
                 let away_m = (point_in_world - image.centre_in_world).norm();
                 image.farthest_m = image.farthest_m.max(away_m);
                 image.points.push(SeenPoint { point, away_m });
+                farthest = farthest.max(away_m / mounted.camera.focal_px()[0]);
             }
+            smallest.push(farthest);
         }
         Self {
             map,
             images: images.into_values().collect(),
+            smallest,
         }
+    }
+
+    /// How large a point is in an image, as a multiple of how large it is where the map's images show it smallest. Below one nobody knows
+    /// whether a detector finds it: what is smaller than the finest scale is not there for it.
+    pub fn size(&self, point: u32, away_m: f64, focal_px: f64) -> f64 {
+        let smallest = self.smallest.get(point as usize).copied();
+        smallest.unwrap_or(0.0) * focal_px / away_m.max(f64::MIN_POSITIVE)
     }
 
     /// Points that a camera at a place in the world must see if it looks at them, in order.
@@ -180,5 +194,16 @@ mod tests {
         assert_eq!(expected(0.0, 16.0), [0u32; 0], "much nearer");
         assert_eq!(expected(-12.0, 0.0), [1], "a little beyond all");
         assert_eq!(expected(-24.0, 0.0), [0u32; 0], "far beyond all");
+    }
+
+    /// Glasses whose lens is wider than the scanner's, farther away than it was, did not find a third of what was there.
+    #[test]
+    fn a_point_is_as_large_as_lens_and_distance_make_it() {
+        let map = map(&[0.0, 0.2, 10.0], &[&[0, 1], &[0, 1, 2]]);
+        let views = Views::of(&map);
+        let size = |point, away_m, focal_px| views.size(point, away_m, focal_px);
+        assert!((size(0, 24.0, 400.0) - 1.0).abs() < 1e-3);
+        assert!((size(0, 36.0, 300.0) - 0.5).abs() < 1e-3);
+        assert!((size(1, 26.0, 400.0) - 1.0).abs() < 1e-3, "seen from 26 m");
     }
 }

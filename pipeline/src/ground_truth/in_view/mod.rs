@@ -5,7 +5,8 @@
 //! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its
 //! place. One that is there looks more like itself in its place than beside it; of one that is not there, one look is as good as
 //! another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
-//! points that lie together are there or absent together.
+//! points that lie together are there or absent together. How much it proves depends on how surely the point is found where it is there: few
+//! images of the map that show it, and a place from which it is smaller than in any of them, make it unsure.
 
 mod expected;
 
@@ -40,8 +41,13 @@ const MAX_DISTANCE: f32 = 0.75;
 const FEWEST_LOOKS: usize = 3;
 /// Points that lie together are judged together, at most so many.
 const GROUP: usize = 12;
-/// Share of points that look most like themselves in their place, where they are there and where they are not.
-const FOUND_WHERE_THERE: f64 = 0.7;
+/// Share of points that look most like themselves in their place, where they are there, by how many images of the map show them: two, three
+/// and so on; the last holds for more. What two images have in common is often no point at all, or is seen from hardly anywhere.
+const FOUND_WHERE_THERE: [f64; 5] = [0.5, 0.65, 0.75, 0.75, 0.85];
+/// Of points that are smaller than the map's images show them anywhere, as of what is smaller than the detector's finest scale, that share
+/// falls with this power of the size.
+const FOUND_BY_SIZE: f64 = 1.5;
+/// Share of points that look most like themselves in their place, where they are not there.
 const FOUND_WHERE_ABSENT: f64 = 0.25;
 /// How many times likelier one of the two must make what was found than the other.
 const LIKELIER: f64 = 20.0;
@@ -74,7 +80,8 @@ impl InView {
 
     /// Whether so much is absent that this may be another place.
     pub fn is_doubtful(&self, config: &GroundTruthConfig) -> bool {
-        let is_enough = self.is_judged() || self.absent >= FEWEST_ABSENT;
+        // One group alone is no other place.
+        let is_enough = self.absent > GROUP && self.is_judged() || self.absent >= FEWEST_ABSENT;
         is_enough && self.absent as f64 > config.max_absent_share * self.certain() as f64
     }
 
@@ -162,6 +169,8 @@ struct Look {
     point: u32,
     in_place: Option<u32>,
     beside: Option<u32>,
+    /// As [`Views::size`] has it.
+    size: f64,
 }
 
 struct Search<'a> {
@@ -204,8 +213,10 @@ impl Search<'_> {
             lens.contains(&pixel, BORDER_PX).then(|| {
                 let aside = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
                 let aside = aside.map(|(x, y)| pixel + Vector2::new(x, y) * ASIDE_PX);
+                let away_m = (point_in_world - centre).norm();
                 Look {
                     point,
+                    size: self.views.size(point, away_m, lens.focal_px()[0]),
                     in_place: nearest(pixel, point),
                     beside: aside.into_iter().filter_map(|at| nearest(at, point)).min(),
                 }
@@ -218,7 +229,25 @@ impl Search<'_> {
 /// A point that was looked for often enough.
 struct Sought {
     point_in_world: Vector3<f64>,
+    /// Images of the map that show it.
+    images: usize,
+    /// Where it is largest, as [`Views::size`] has it.
+    size: f64,
     is_found: bool,
+}
+
+impl Sought {
+    /// Logarithm of how many times likelier what was found is if the point is there.
+    fn likelihood(&self) -> f64 {
+        let last = FOUND_WHERE_THERE.len() - 1;
+        let there = FOUND_WHERE_THERE[self.images.saturating_sub(2).min(last)];
+        let there = there * self.size.min(1.0).powf(FOUND_BY_SIZE);
+        let there = there.max(FOUND_WHERE_ABSENT);
+        match self.is_found {
+            true => (there / FOUND_WHERE_ABSENT).ln(),
+            false => ((1.0 - there) / (1.0 - FOUND_WHERE_ABSENT)).ln(),
+        }
+    }
 }
 
 /// Of each point its best look counts; of points that lie together what they say together.
@@ -236,6 +265,8 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
             let is_better = |own: u32| beside.is_none_or(|beside| own < beside);
             Some(Sought {
                 point_in_world: map.position(point)?,
+                images: map.observations(point).count(),
+                size: looks.iter().map(|look| look.size).fold(0.0, f64::max),
                 is_found: in_place.is_some_and(is_better),
             })
         })
@@ -266,11 +297,7 @@ fn judge_groups(sought: &mut [Sought], found: &mut InView) {
         judge_groups(high, found);
         return;
     }
-    let likelihood = sought.iter().map(|s| match s.is_found {
-        true => (FOUND_WHERE_THERE / FOUND_WHERE_ABSENT).ln(),
-        false => ((1.0 - FOUND_WHERE_THERE) / (1.0 - FOUND_WHERE_ABSENT)).ln(),
-    });
-    let sum: f64 = likelihood.sum();
+    let sum: f64 = sought.iter().map(Sought::likelihood).sum();
     if sum >= LIKELIER.ln() {
         found.there += sought.len();
     } else if sum <= -LIKELIER.ln() {
