@@ -10,6 +10,7 @@ mod export;
 mod file;
 mod freed_cameras;
 mod keyframe_covariance;
+mod marks;
 mod merge;
 mod point_quality;
 mod posed;
@@ -39,6 +40,7 @@ pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_
 pub use file::FORMAT_VERSION;
 pub(crate) use freed_cameras::{FreedCameras, Sights};
 use keyframe_covariance::CovarianceColumns;
+pub use marks::{Click, MarkConfig, PlacedMark, PlacedMarks, UnplacedMark, read_clicks};
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
