@@ -43,7 +43,7 @@ use keyframe_covariance::CovarianceColumns;
 pub use marks::{Click, MarkConfig, PlacedMark, PlacedMarks, UnplacedMark, read_clicks};
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
-pub use posed::{PosedMapConfig, build_map_from_posed_images};
+pub use posed::{PoseRefinement, PosedMapConfig, build_map_from_posed_images};
 pub use prepared_image::KeyframeImage;
 pub use prune::{PruneConfig, PruneReport};
 pub(crate) use reconstruction::{CERTAIN_VIEWS, expect_map};
