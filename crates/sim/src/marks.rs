@@ -27,7 +27,7 @@ const CLICKED_M: f64 = 10.0;
 /// Marks stand at least so far apart, metres: what is measured goes through the place.
 const APART_M: f64 = 1.5;
 /// Least angle between two views of a mark, radians.
-const LEAST_PARALLAX_RAD: f64 = 0.09;
+const LEAST_PARALLAX_RAD: f64 = 0.25;
 /// A ray that ends so near a mark meets it, metres.
 const MET_M: f64 = 0.02;
 /// Nobody clicks at the very edge of an image, pixels.

@@ -22,6 +22,8 @@ const MEAN_M: f64 = 0.03;
 const LARGEST_M: f64 = 0.05;
 /// A difference of more standard deviations is not by chance.
 const CHANCE_SIGMAS: f64 = 4.0;
+/// A distance that clicks and tape do not tell better than this judges no map, metres, 1 σ.
+const JUDGING_SIGMA_M: f64 = 0.5 * LARGEST_M;
 /// Lines that a reader still reads; `--json` has all.
 const MOST_LINES: usize = 60;
 
@@ -79,6 +81,8 @@ struct Measured {
     error_m: f64,
     /// The same in standard deviations of both.
     sigmas: f64,
+    /// Whether it is told well enough to judge the map.
+    judges: bool,
 }
 
 /// Marks, their distances, and how far these are from what was measured.
@@ -193,20 +197,43 @@ impl MarkedDistances {
             );
             findings.push(warn("distances-open", "marks", what));
         }
-        findings.extend(self.error_m.map(|error_m| self.agreement(error_m)));
+        for mark in &self.placed.marks {
+            let sigma_m = mark.worst_sigma_m();
+            if self.error_m.is_some() && sigma_m > JUDGING_SIGMA_M {
+                let what = format!("is known to {:.1} cm only", 100.0 * sigma_m);
+                findings.push(
+                    warn("mark-weak", &mark.name, what)
+                        .value(sigma_m, "m")
+                        .limit(Limit::AtMost(JUDGING_SIGMA_M))
+                        .remedy("click it in images taken farther apart"),
+                );
+            }
+        }
+        findings.extend(self.error_m.map(|_| self.agreement()));
         findings
     }
 
-    fn agreement(&self, [mean_m, largest_m]: [f64; 2]) -> Finding {
-        let beyond = self.distances.iter().filter_map(|d| d.measured);
-        let beyond = beyond.filter(|m| m.sigmas.abs() > CHANCE_SIGMAS).count();
+    fn agreement(&self) -> Finding {
+        let measured = || self.distances.iter().filter_map(|d| d.measured);
+        let beyond = measured()
+            .filter(|m| m.sigmas.abs() > CHANCE_SIGMAS)
+            .count();
+        let judging: Vec<f64> = measured()
+            .filter(|m| m.judges)
+            .map(|m| m.error_m.abs())
+            .collect();
+        let (all, count) = (self.distances.len(), judging.len());
+        let mean_m = judging.iter().sum::<f64>() / count.max(1) as f64;
+        let largest_m = judging.iter().copied().fold(0.0, f64::max);
         let verdict = match mean_m <= MEAN_M && largest_m <= LARGEST_M {
             false => Verdict::Fail,
-            true => Verdict::Warn.unless(beyond == 0),
+            true if beyond > 0 => Verdict::Warn,
+            true if count == 0 => Verdict::Unknown,
+            true => Verdict::Pass,
         };
         let what = format!(
-            "{} distances off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} by more than {CHANCE_SIGMAS} σ",
-            self.distances.len(),
+            "{count} of {all} distances, those told to {:.1} cm or better, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
+            100.0 * JUDGING_SIGMA_M,
             1e3 * mean_m,
             1e3 * MEAN_M,
             1e3 * largest_m
@@ -297,10 +324,12 @@ fn distance(a: &PlacedMark, b: &PlacedMark, tape: Option<&Tape>) -> MarkDistance
         sigma_m,
         measured: tape.map(|tape| {
             let error_m = map_m - tape.distance_m;
+            let both_m = sigma_m.hypot(tape.sigma_m);
             Measured {
                 measured_m: tape.distance_m,
                 error_m,
-                sigmas: error_m / sigma_m.hypot(tape.sigma_m),
+                sigmas: error_m / both_m,
+                judges: both_m <= JUDGING_SIGMA_M,
             }
         }),
     }
