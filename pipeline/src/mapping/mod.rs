@@ -149,12 +149,18 @@ pub fn build_map_in_stages(
         }
         let with = |rig: &Rig,
                     name: &'static str,
+                    trajectory: &Trajectory,
                     keyframes: &mut Keyframes,
                     report: &mut MappingReport| {
-            let kept = Kept { stages, name };
-            optimise(rig, keyframes, &trajectory, config, report, &kept, progress)
+            let run = Run {
+                recording,
+                stages,
+                name,
+            };
+            optimise(rig, keyframes, trajectory, config, report, &run, progress)
         };
-        let (mut optimised, shown) = with(&rig, "rounds", &mut keyframes, &mut report)?;
+        let (mut optimised, shown) =
+            with(&rig, "rounds", &trajectory, &mut keyframes, &mut report)?;
         let refined = shown.refined(&rig).filter(|_| config.refine_cameras);
         if let Some(refined) = refined {
             let taken = |error: &CameraError| error.is_refinable();
@@ -167,7 +173,14 @@ pub fn build_map_in_stages(
             report
                 .warnings
                 .retain(|warning| !warning.is_of_adjustment());
-            (optimised, _) = with(&refined, "rounds-refined", &mut keyframes, &mut report)?;
+            let now = correct_trajectory(&trajectory, &before, &optimised.poses);
+            (optimised, _) = with(
+                &refined,
+                "rounds-refined",
+                &now,
+                &mut keyframes,
+                &mut report,
+            )?;
             optimised.refined = Some(refined.to_toml());
         }
         Ok((optimised, std::mem::take(&mut report)))
@@ -332,8 +345,9 @@ struct Optimised {
     refined: Option<String>,
 }
 
-/// Where rounds of Eq. (4) are kept, and under which name.
-struct Kept<'a> {
+/// What rounds of Eq. (4) read, where they are kept, and under which name.
+struct Run<'a> {
+    recording: &'a Recording,
     stages: &'a KeptStages,
     name: &'static str,
 }
@@ -352,8 +366,8 @@ struct Rounds {
     told: MappingReport,
 }
 
-/// Images are matched where the poses have them: once a keyframe has moved or turned this much they are matched anew, metres and radians. A
-/// pixel of a wide camera, or its view of a wall.
+/// Images are matched where the poses have them, and scans joined along the way between keyframes: once a keyframe has moved or turned this much both are done
+/// anew, metres and radians. A pixel of a wide camera, or its view of a wall.
 const MATCHED_M: f64 = 0.03;
 const MATCHED_RAD: f64 = 0.005;
 
@@ -380,7 +394,7 @@ fn optimise(
     trajectory: &Trajectory,
     config: &MappingConfig,
     report: &mut MappingReport,
-    kept: &Kept<'_>,
+    run: &Run<'_>,
     progress: ProgressFn<'_>,
 ) -> Result<(Optimised, ShownCameras), Error> {
     let odometry = &keyframes.poses();
@@ -389,26 +403,36 @@ fn optimise(
     let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
     let mut contradicted = Contradicted::default();
     let mut matched = odometry.clone();
+    let mut current = odometry.clone();
     let mut first_round = 0;
-    if let Some(rounds) = kept.stages.get::<Rounds>(kept.name)
+    if let Some(rounds) = run.stages.get::<Rounds>(run.name)
         && rounds.poses.len() == keyframes.frames.len()
         && rounds.matched.len() == keyframes.frames.len()
     {
         first_round = rounds.done;
-        keyframes.place(&rounds.poses);
+        current = rounds.poses;
         (matched, contradicted) = (rounds.matched, rounds.contradicted);
         *report = rounds.told;
     }
-    let match_at = |poses: &[StampedPose], keyframes: &Keyframes| {
+    let look_at = |poses: &[StampedPose], keyframes: &mut Keyframes| {
+        if poses != odometry.as_slice()
+            && let Some(lidar) = rig.lidar()
+        {
+            let now = correct_trajectory(trajectory, odometry, poses);
+            let frames = &mut keyframes.frames;
+            add_lidar_features(run.recording, lidar, frames, &now, config, progress)?;
+        }
         let images = &keyframes.images;
         find_tracks(rig, poses, images, &config.reconstruction, progress)
     };
-    let mut tracks = match_at(&matched, &*keyframes)?;
+    keyframes.place(&matched);
+    let mut tracks = look_at(&matched, &mut *keyframes)?;
+    keyframes.place(&current);
     for round in first_round..config.outer_iterations.max(1) {
         let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
         if moved_m > MATCHED_M || turned_rad > MATCHED_RAD {
             matched = keyframes.poses();
-            tracks = match_at(&matched, &*keyframes)?;
+            tracks = look_at(&matched, &mut *keyframes)?;
         }
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
         scans = scan_correspondences(&keyframes.frames, &pairs, config);
@@ -469,7 +493,7 @@ fn optimise(
             contradicted,
             told: report.clone(),
         };
-        kept.stages.keep(kept.name, &rounds)?;
+        run.stages.keep(run.name, &rounds)?;
     }
     report.tracks = tracks.len() as u64;
     if !config.terms.images {
