@@ -507,6 +507,24 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// A line of a list of clicks cannot be used.
+    #[error("{path}:{line}: {reason}", path = path.display())]
+    ClickLine {
+        /// The file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A trajectory to start from is not that of the recording.
+    #[error("{path}: {share:.0} % of its scans lie within the trajectory to start from: give one of this very recording", path = path.display(), share = 100.0 * share)]
+    StartElsewhere {
+        /// The recording.
+        path: PathBuf,
+        /// Share of its scans within the trajectory.
+        share: f64,
+    },
     /// A loop is of a scan that has no pose.
     #[error("no scan has a pose at {time} s: give the loops of this walk")]
     UnknownScan {

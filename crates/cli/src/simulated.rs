@@ -145,14 +145,17 @@ pub fn prepare(
         ));
     }
     let simulation = Arc::new(simulation.calibrated(calibrated));
+    let marks = simulation.marks();
     for (name, text) in [
         ("backpack.toml", simulation.scan().stated_rig().to_toml()),
         ("glasses.toml", simulation.glasses().stated_rig().to_toml()),
         (SETTINGS, toml::to_string(config)?),
+        ("marks.csv", marks.clicks),
     ] {
         crate::files::write(&layout.file(name), text)?;
     }
     simulation.write_truth(&layout.truth())?;
+    crate::files::write(&layout.truth().join("truth_marks.survey"), marks.survey)?;
     Ok(simulation)
 }
 

@@ -49,6 +49,7 @@ mod config;
 mod datum;
 mod device;
 mod error;
+mod marks;
 mod noise;
 mod place;
 pub mod preview;
@@ -79,6 +80,7 @@ pub use device::{
 };
 pub use error::Error;
 pub use lsfb_drivers::velodyne::wire::ReturnMode;
+pub use marks::Marks;
 pub use place::{CalibrationBoard, TAG_M};
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, at_rest, exact_sample};

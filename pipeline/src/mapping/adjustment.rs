@@ -117,12 +117,13 @@ pub(super) fn add_keyframes(
     if let Some(first) = poses.first() {
         problem.set_constant(*first);
     }
+    let contradicted = terms.weights.contradicted;
     for (pair, measured) in poses.windows(2).zip(terms.odometry.windows(2)) {
         let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
         let residual = RelativePose::isotropic(
             measured[0].world_from_rig.inverse() * measured[1].world_from_rig,
-            config.odometry_rotation_sigma_deg.to_radians() * root_secs,
-            config.odometry_translation_sigma_m * root_secs,
+            config.odometry_rotation_sigma_deg.to_radians() * root_secs * contradicted.rotation,
+            config.odometry_translation_sigma_m * root_secs * contradicted.translation,
         );
         problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
     }

@@ -86,6 +86,28 @@ impl CameraError {
         findings
     }
 
+    /// Whether it is other than stated for sure, and its clock is right, so that what was found of it can be taken.
+    pub(super) fn is_refinable(&self) -> bool {
+        let is_off = |f: &Finding| matches!(f.verdict, Verdict::Warn | Verdict::Fail);
+        let of_lens = ["camera-turn", "camera-shift", "camera-focal-length"];
+        let mut off = self.findings();
+        off.retain(is_off);
+        self.settled && !off.is_empty() && off.iter().all(|f| of_lens.contains(&&*f.code))
+    }
+
+    /// That Eq. (4) was solved with the camera as found.
+    pub(super) fn refined_finding(&self) -> Finding {
+        let what = format!(
+            "taken as the map's images show it, not as the rig file says: turned by {:.2}°, shifted by {:.2} cm, focal length {:+.2} %",
+            self.turn_deg,
+            1e2 * self.shift_m,
+            1e2 * self.focal_share
+        );
+        Finding::new("camera-refined", Verdict::Warn, &self.camera, what).remedy(
+            "calibrate the rig; refine_cameras = false in --config takes it as the rig file says",
+        )
+    }
+
     /// Whether what matches shows points.
     fn points_finding(&self) -> Finding {
         let share = self.observations as f64 / self.tracked.max(1) as f64;

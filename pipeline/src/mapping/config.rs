@@ -29,6 +29,9 @@ pub struct MappingConfig {
     pub map: HdMapConfig,
     /// LiDAR features and correspondences.
     pub lidar_features: LidarFeatureConfig,
+    /// Whether cameras that the images show for sure to be turned, shifted or of another focal length than the rig file says are taken as the images
+    /// show them, and Eq. (4) is solved once more. What is thought possible beforehand is a tenth of a radian, a decimetre and a tenth of the focal length.
+    pub refine_cameras: bool,
     /// Which measurements Eq. (4) takes.
     pub terms: TermConfig,
     /// How far errors of one kind go together in Eq. (4).
@@ -43,7 +46,7 @@ pub struct MappingConfig {
     pub odometry_rotation_sigma_deg: f64,
     /// Standard deviation of the odometry's translation, metres per square root of a second.
     pub odometry_translation_sigma_m: f64,
-    /// How often correspondences are sought anew at most.
+    /// How often correspondences are sought anew at most: they are until the keyframes rest.
     pub outer_iterations: usize,
     /// Largest reprojection error of an observation in the map, pixels.
     pub max_reprojection_px: f64,
@@ -119,6 +122,7 @@ impl Default for MappingConfig {
             reconstruction: ReconstructionConfig::default(),
             map: HdMapConfig::default(),
             lidar_features: LidarFeatureConfig::default(),
+            refine_cameras: false,
             terms: TermConfig::default(),
             correlation: CorrelationConfig::default(),
             scan_window_secs: 0.35,
@@ -126,7 +130,7 @@ impl Default for MappingConfig {
             revisit_distance_m: 2.0,
             odometry_rotation_sigma_deg: 0.2,
             odometry_translation_sigma_m: 0.01,
-            outer_iterations: 3,
+            outer_iterations: 10,
             max_reprojection_px: 3.0,
             solver: SolveConfig {
                 max_iterations: 20,
@@ -156,6 +160,7 @@ lsfb_types::bounds! {
         reconstruction: section,
         map: section,
         lidar_features: section,
+        refine_cameras: any,
         terms: section,
         correlation: section,
         scan_window_secs: number(Bounds::NOT_NEGATIVE),

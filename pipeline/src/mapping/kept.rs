@@ -3,10 +3,12 @@
 use lsfb_geometry::StampedPose;
 
 use super::keyframes::{Keyframe, Keyframes};
+use super::weights::Contradicted;
 use super::{MappingReport, Optimised, Rounds};
 use crate::features::{Features, Keypoint};
 use crate::hd_map::{KeyframeImage, MapPoint, PointObservation};
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
+use crate::surface::Agreement;
 
 keep_fields! {
     Keypoint { pixel, scale_px, angle_rad, response }
@@ -14,8 +16,10 @@ keep_fields! {
     KeyframeImage { keyframe, camera, features }
     PointObservation { image, keypoint }
     MapPoint { point_in_world, observations, reprojection_rms_px }
-    Optimised { poses, points, covariances }
-    Rounds { done, poses, told }
+    Optimised { poses, points, covariances, refined }
+    Contradicted { rotation, translation }
+    Agreement { on_planes, beams, contradicted }
+    Rounds { done, poses, matched, contradicted, told }
 }
 
 impl Keep for Keyframes {

@@ -17,9 +17,12 @@ mod weights;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
+
 use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
-use lsfb_types::{Finding, ProgressFn, Verdict};
+use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use sha2::{Digest, Sha256};
 
 use crate::bending::bent;
@@ -30,7 +33,8 @@ use crate::features::triangulation::TriangulationConfig;
 use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triangulate_tracks};
 use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
-use crate::odometry::{Damages, run_odometry};
+use crate::odometry::{Damages, run_odometry, scan_count};
+use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
 use adjustment::{Terms, adjust};
 pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig, TermConfig};
@@ -41,9 +45,22 @@ use pose_covariance::pose_covariances;
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
-use rig_check::{Checked, camera_errors};
+use rig_check::{Checked, ShownCameras, camera_errors};
 use scan_pairs::{scan_correspondences, scan_pairs};
-use weights::{Weights, lidar_residuals};
+use weights::{Contradicted, Weights, lidar_residuals};
+
+/// Where Eq. (4) has the rig's poses from at first.
+#[derive(Clone, Copy, Debug)]
+pub enum Start<'a> {
+    /// The odometry, and loops where the settings ask for them.
+    Odometry,
+    /// Another program's SLAM: poses of the rig in a world with z upwards. How well it knows the motion from one keyframe to the next is taken
+    /// from the settings, as the odometry's is, and counts less as soon as scans and images contradict it.
+    Given(&'a Trajectory),
+}
+
+/// Least share of the scans that a trajectory to start from must reach.
+const LEAST_REACHED: f64 = 0.5;
 
 /// A map and how it was made.
 #[derive(Clone, Debug)]
@@ -65,13 +82,20 @@ pub fn build_map(
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
-    build_map_in_stages(recording, config, &KeptStages::none(), progress)
+    build_map_in_stages(
+        recording,
+        Start::Odometry,
+        config,
+        &KeptStages::none(),
+        progress,
+    )
 }
 
 /// [`build_map`] that goes on behind the stages that are kept already, and keeps those it finishes: the odometry, the features of the
-/// images, each round of Eq. (4), its result. The map is the same bit for bit.
+/// images, each round of Eq. (4), its result. The map is the same bit for bit. Stages of another start must not be among them.
 pub fn build_map_in_stages(
     recording: &Recording,
+    start: Start<'_>,
     config: &MappingConfig,
     stages: &KeptStages,
     progress: ProgressFn<'_>,
@@ -80,9 +104,12 @@ pub fn build_map_in_stages(
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
     let cameras = find_cameras(recording, &rig, &mut report.warnings)?;
-    let (trajectory, by_odometry) =
-        stages.once("odometry", || walk(recording, config, progress))?;
+    let (trajectory, by_odometry) = match start {
+        Start::Odometry => stages.once("odometry", || walk(recording, config, progress))?,
+        Start::Given(given) => (given.clone(), reached(recording, given)?),
+    };
     report.odometry = by_odometry.odometry;
+    report.warnings.extend(by_odometry.warnings);
     report.loops = by_odometry.loops;
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let (mut keyframes, damaged) = stages.once("images", || {
@@ -120,29 +147,78 @@ pub fn build_map_in_stages(
                 progress,
             )?;
         }
-        let optimised = optimise(
-            &rig,
-            &mut keyframes,
-            &trajectory,
-            config,
-            &mut report,
-            stages,
-            progress,
-        )?;
+        let with = |rig: &Rig,
+                    name: &'static str,
+                    trajectory: &Trajectory,
+                    keyframes: &mut Keyframes,
+                    report: &mut MappingReport| {
+            let run = Run {
+                recording,
+                stages,
+                name,
+            };
+            optimise(rig, keyframes, trajectory, config, report, &run, progress)
+        };
+        let (mut optimised, shown) =
+            with(&rig, "rounds", &trajectory, &mut keyframes, &mut report)?;
+        let refined = shown.refined(&rig).filter(|_| config.refine_cameras);
+        if let Some(refined) = refined {
+            let taken = |error: &CameraError| error.is_refinable();
+            report.refined = report
+                .cameras
+                .iter()
+                .filter(|e| taken(e))
+                .cloned()
+                .collect();
+            report
+                .warnings
+                .retain(|warning| !warning.is_of_adjustment());
+            let now = correct_trajectory(&trajectory, &before, &optimised.poses);
+            (optimised, _) = with(
+                &refined,
+                "rounds-refined",
+                &now,
+                &mut keyframes,
+                &mut report,
+            )?;
+            optimised.refined = Some(refined.to_toml());
+        }
         Ok((optimised, std::mem::take(&mut report)))
     })?;
     let Optimised {
         poses,
         points,
         covariances,
+        refined,
     } = optimised;
+    let mut stated = BTreeMap::new();
+    let map_rig = match &refined {
+        Some(text) => {
+            Rig::from_toml(text, "refined cameras").map_err(lsfb_recording::Error::from)?
+        }
+        None => rig.clone(),
+    };
+    for error in &report.refined {
+        let camera = rig.cameras.get(&error.camera).cloned();
+        stated.extend(camera.map(|camera| (error.camera.clone(), camera)));
+    }
+    let mut report = report;
+    let trajectory_before = trajectory;
+    let trajectory = correct_trajectory(&trajectory_before, &before, &poses);
+    let (agreement, gap) = stages.once("surface", || {
+        look_at_scans(recording, &rig, &trajectory, config, progress)
+    })?;
+    report.agreement = agreement;
+    report
+        .warnings
+        .extend(gap.map(|(after_secs, secs)| MappingWarning::ScanGap { after_secs, secs }));
     let content = MapContent {
-        rig: &rig,
+        rig: &map_rig,
         keyframes: &poses,
         images: &keyframes.images,
         points: &points,
         feature: &detector.feature(),
-        provenance: &walk_hash(&rig, &trajectory),
+        provenance: &walk_hash(&rig, &trajectory_before),
     };
     let findings = report.findings();
     let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
@@ -150,10 +226,55 @@ pub fn build_map_in_stages(
     Ok(MappingResult {
         map: HdMap::build(&content, &config.map, progress)?
             .with_failures(failures)
+            .with_stated_cameras(stated)
             .with_keyframe_covariances(covariances),
-        trajectory: correct_trajectory(&trajectory, &before, &poses),
+        trajectory,
         report,
     })
+}
+
+/// Longest time between two scans that says nothing, seconds: somebody walks a step, and has the motion of the IMU for it.
+const USUAL_GAP_S: f64 = 1.0;
+/// Scans may be rarer where they always are.
+const USUAL_PERIODS: f64 = 5.0;
+
+/// How well all scans agree with one another at the poses of the finished map (`None` without a LiDAR), and when after the first
+/// the longest time without a scan began and how long that is, seconds, where it is long.
+fn look_at_scans(
+    recording: &Recording,
+    rig: &Rig,
+    world_from_rig: &Trajectory,
+    config: &MappingConfig,
+    progress: ProgressFn<'_>,
+) -> Result<(Option<Agreement>, Option<(f64, f64)>), Error> {
+    let surface = SurfaceConfig {
+        min_range_m: config.odometry.min_range_m,
+        ..SurfaceConfig::default()
+    };
+    let Some(mut builder) = SurfaceBuilder::new(rig, &surface) else {
+        return Ok((None, None));
+    };
+    let total = scan_count(recording);
+    let mut times = Vec::new();
+    // Damaged ones are told by the stages before.
+    for (done, scan) in (0..).zip(recording.scans()?.flatten()) {
+        progress(Progress {
+            stage: "agreement of scans",
+            done,
+            total,
+        })?;
+        if builder.insert(&scan, world_from_rig) {
+            times.push(scan.time);
+        }
+    }
+    let agreement = *builder.finish().agreement();
+    let periods = times.windows(2).map(|t| t[1].secs_since(t[0]));
+    let usual_s = median(periods.clone().collect()).unwrap_or(0.0);
+    let since_first = times.iter().map(|time| time.secs_since(times[0]));
+    let gaps = since_first.zip(periods);
+    let longest = gaps.max_by(|a, b| a.1.total_cmp(&b.1));
+    let limit_s = USUAL_GAP_S.max(USUAL_PERIODS * usual_s);
+    Ok((Some(agreement), longest.filter(|(_, secs)| *secs > limit_s)))
 }
 
 /// Where the rig went: by the odometry, and by loops where these are asked for. The report has what both say of it.
@@ -170,6 +291,30 @@ fn walk(
     }
     report.odometry = odometry.report;
     Ok((odometry.trajectory, report))
+}
+
+/// What is to be said of a trajectory to start from; refused where it is hardly of this recording.
+fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, Error> {
+    let (mut scans, mut reached) = (0u64, 0u64);
+    // Damaged ones are told where they are used.
+    for scan in recording.scans()?.flatten() {
+        scans += 1;
+        reached += u64::from(given.at(scan.time).is_some());
+    }
+    let share = reached as f64 / scans.max(1) as f64;
+    if share < LEAST_REACHED {
+        return Err(Error::StartElsewhere {
+            path: recording.path().to_owned(),
+            share,
+        });
+    }
+    let missing = scans - reached;
+    // The first scan may begin before the first pose.
+    let warnings = (missing > 2).then_some(MappingWarning::StartPartial { missing, scans });
+    Ok(MappingReport {
+        warnings: warnings.into_iter().collect(),
+        ..MappingReport::default()
+    })
 }
 
 /// SHA-256 of the rig and the walk, as hexadecimal digits. Not of the recording: that holds arrival times, and the same
@@ -196,6 +341,15 @@ struct Optimised {
     points: Vec<MapPoint>,
     /// Of the keyframes; none at all where the measurements do not determine them.
     covariances: Vec<Option<Matrix6<f64>>>,
+    /// The rig file with cameras as the images show them, where some were taken so.
+    refined: Option<String>,
+}
+
+/// What rounds of Eq. (4) read, where they are kept, and under which name.
+struct Run<'a> {
+    recording: &'a Recording,
+    stages: &'a KeptStages,
+    name: &'static str,
 }
 
 /// Where Eq. (4) stands behind one of its rounds.
@@ -204,8 +358,33 @@ struct Rounds {
     done: usize,
     /// Of the keyframes.
     poses: Vec<StampedPose>,
+    /// Where the keyframes were when images were matched last.
+    matched: Vec<StampedPose>,
+    /// How much the start is contradicted.
+    contradicted: Contradicted,
     /// The report so far.
     told: MappingReport,
+}
+
+/// Images are matched where the poses have them, and scans joined along the way between keyframes: once a keyframe has moved or turned this much both are done
+/// anew, metres and radians. A pixel of a wide camera, or its view of a wall.
+const MATCHED_M: f64 = 0.03;
+const MATCHED_RAD: f64 = 0.005;
+
+/// Keyframes that move and turn less from one round to the next rest, metres and degrees.
+const RESTING_M: f64 = 1e-3;
+const RESTING_DEG: f64 = 0.02;
+
+/// How far poses have moved and turned at most: metres, radians.
+fn largest_move(from: &[StampedPose], to: &[StampedPose]) -> [f64; 2] {
+    let moves = from.iter().zip(to);
+    moves.fold([0.0, 0.0], |[metres, angle], (a, b)| {
+        let moved = a.world_from_rig.inverse() * b.world_from_rig;
+        [
+            f64::max(metres, moved.translation.norm()),
+            f64::max(angle, moved.rotation.angle()),
+        ]
+    })
 }
 
 /// Alternates new correspondences with Eq. (4) until the keyframes rest.
@@ -215,42 +394,61 @@ fn optimise(
     trajectory: &Trajectory,
     config: &MappingConfig,
     report: &mut MappingReport,
-    stages: &KeptStages,
+    run: &Run<'_>,
     progress: ProgressFn<'_>,
-) -> Result<Optimised, Error> {
+) -> Result<(Optimised, ShownCameras), Error> {
     let odometry = &keyframes.poses();
-    let tracks = find_tracks(
-        rig,
-        odometry,
-        &keyframes.images,
-        &config.reconstruction,
-        progress,
-    )?;
-    report.tracks = tracks.len() as u64;
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
     let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
+    let mut contradicted = Contradicted::default();
+    let mut matched = odometry.clone();
+    let mut current = odometry.clone();
     let mut first_round = 0;
-    if let Some(Rounds { done, poses, told }) = stages.get("rounds")
-        && poses.len() == keyframes.frames.len()
+    if let Some(rounds) = run.stages.get::<Rounds>(run.name)
+        && rounds.poses.len() == keyframes.frames.len()
+        && rounds.matched.len() == keyframes.frames.len()
     {
-        first_round = done;
-        keyframes.place(&poses);
-        *report = told;
+        first_round = rounds.done;
+        current = rounds.poses;
+        (matched, contradicted) = (rounds.matched, rounds.contradicted);
+        *report = rounds.told;
     }
+    let look_at = |poses: &[StampedPose], keyframes: &mut Keyframes| {
+        if poses != odometry.as_slice()
+            && let Some(lidar) = rig.lidar()
+        {
+            let now = correct_trajectory(trajectory, odometry, poses);
+            let frames = &mut keyframes.frames;
+            add_lidar_features(run.recording, lidar, frames, &now, config, progress)?;
+        }
+        let images = &keyframes.images;
+        find_tracks(rig, poses, images, &config.reconstruction, progress)
+    };
+    keyframes.place(&matched);
+    let mut tracks = look_at(&matched, &mut *keyframes)?;
+    keyframes.place(&current);
     for round in first_round..config.outer_iterations.max(1) {
+        let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
+        if moved_m > MATCHED_M || turned_rad > MATCHED_RAD {
+            matched = keyframes.poses();
+            tracks = look_at(&matched, &mut *keyframes)?;
+        }
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
         scans = scan_correspondences(&keyframes.frames, &pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
         let errors_px = observation_errors_px(rig, keyframes, &points);
-        if round == 0 {
+        if report.rounds.is_empty() {
             let errors_px = track_errors_px(rig, keyframes, &points, &tracks);
             let errors = ErrorSummary::of(&errors_px, max_px);
             report.reprojection_rms_before_px = errors.rms_px;
             report.reprojection_median_before_px = errors.median_px;
             report.lidar_before = lidar;
         }
-        weights = Weights::estimate(&lidar, &errors_px, &config.correlation);
+        weights = Weights {
+            contradicted,
+            ..Weights::estimate(&lidar, &errors_px, &config.correlation)
+        };
         let terms = Terms {
             scans: &scans,
             odometry,
@@ -258,12 +456,10 @@ fn optimise(
         };
         let before = keyframes.poses();
         let solved = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
-        let moves = keyframes
-            .frames
-            .iter()
-            .zip(&before)
-            .map(|(k, b)| b.world_from_rig.inverse() * k.world_from_rig);
-        let mut done = RoundReport {
+        let poses = keyframes.poses();
+        let [moved_m, turned_rad] = largest_move(&before, &poses);
+        contradicted = contradicted.seen(odometry, &poses, config);
+        let done = RoundReport {
             plane_matches: lidar.plane_matches,
             edge_matches: lidar.edge_matches,
             observations: points.iter().map(|p| p.observations.len() as u64).sum(),
@@ -273,25 +469,33 @@ fn optimise(
             initial_cost: solved.initial_cost,
             final_cost: solved.final_cost,
             iterations: solved.iterations as u64,
-            ..RoundReport::default()
+            moved_m,
+            turned_deg: turned_rad.to_degrees(),
+            start_contradicted: [contradicted.rotation, contradicted.translation],
         };
-        for moved in moves {
-            done.moved_m = done.moved_m.max(moved.translation.norm());
-            done.turned_deg = done.turned_deg.max(moved.rotation.angle().to_degrees());
-        }
-        let rests = done.moved_m < 1e-3 && done.turned_deg < 0.02;
+        let rests = done.moved_m < RESTING_M && done.turned_deg < RESTING_DEG;
         report.rounds.push(done);
         report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
-        if rests || round + 1 == config.outer_iterations {
+        if rests || round + 1 >= config.outer_iterations {
+            if !rests && config.outer_iterations > 1 {
+                report.warnings.push(MappingWarning::NotAtRest {
+                    rounds: round as u64 + 1,
+                    moved_m,
+                    turned_deg: turned_rad.to_degrees(),
+                });
+            }
             break;
         }
         let rounds = Rounds {
             done: round + 1,
-            poses: keyframes.poses(),
+            poses,
+            matched: matched.clone(),
+            contradicted,
             told: report.clone(),
         };
-        stages.keep("rounds", &rounds)?;
+        run.stages.keep(run.name, &rounds)?;
     }
+    report.tracks = tracks.len() as u64;
     if !config.terms.images {
         points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
     }
@@ -306,7 +510,8 @@ fn optimise(
             weights,
         },
     };
-    report.cameras = camera_errors(&checked, config, progress)?;
+    let shown = camera_errors(&checked, config, progress)?;
+    report.cameras = shown.errors.clone();
     let covariances = match pose_covariances(&checked, &points, config, progress)? {
         Ok(known) => known.into_iter().map(Some).collect(),
         Err(warning) => {
@@ -331,11 +536,13 @@ fn optimise(
         });
     }
     expect_map(&points, &keyframes.images)?;
-    Ok(Optimised {
+    let optimised = Optimised {
         poses: keyframes.poses(),
         points,
         covariances,
-    })
+        refined: None,
+    };
+    Ok((optimised, shown))
 }
 
 /// Points at the current poses: of observations far off while the poses are still wrong, of close ones later.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::camera_error::CameraError;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
+use crate::surface::Agreement;
 
 /// What the mapping says about its own result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,6 +50,12 @@ pub struct MappingReport {
     pub lidar_after: LidarResiduals,
     /// By how much the cameras differ from the rig file, as the images show it.
     pub cameras: Vec<CameraError>,
+    /// Cameras that were taken as the images showed them, and by how much they differed from the rig file: [`Self::cameras`] then says what is left.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub refined: Vec<CameraError>,
+    /// How well all scans agree at the poses of the map; absent without a LiDAR.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<Agreement>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -60,8 +67,18 @@ impl MappingReport {
     pub fn findings(&self) -> Vec<Finding> {
         let of_odometry = self.odometry.warnings.iter().map(OdometryWarning::finding);
         let own = self.warnings.iter().map(MappingWarning::finding);
-        let of_cameras = self.cameras.iter().flat_map(CameraError::findings);
-        of_odometry.chain(own).chain(of_cameras).collect()
+        let refined = self.refined.iter().map(CameraError::refined_finding);
+        let of_cameras = refined.chain(self.cameras.iter().flat_map(CameraError::findings));
+        let of_scans = self.agreement.iter().map(|agreement| {
+            agreement.finding().remedy(
+                "a part of the map is bent, or much of what the LiDAR saw has moved: look at the trajectory, walk loops, and start where little moves",
+            )
+        });
+        of_odometry
+            .chain(own)
+            .chain(of_scans)
+            .chain(of_cameras)
+            .collect()
     }
 
     /// Whether every message was read and every scan found its place.
@@ -109,6 +126,19 @@ pub struct RoundReport {
     pub moved_m: f64,
     /// Farthest that a keyframe turned, degrees.
     pub turned_deg: f64,
+    /// How many of its own standard deviations the motion from keyframe to keyframe of the start is off by, rotation and translation: 1 or more.
+    #[serde(default)]
+    pub start_contradicted: [f64; 2],
+}
+
+impl MappingWarning {
+    /// Whether it is of one solution of Eq. (4), and not of what that was made from.
+    pub(super) fn is_of_adjustment(&self) -> bool {
+        matches!(
+            self,
+            Self::PosesUndetermined | Self::NotAtRest { .. } | Self::ManyOutliers { .. }
+        )
+    }
 }
 
 /// Something the reader should know of a map.
@@ -157,6 +187,29 @@ pub enum MappingWarning {
     },
     /// The measurements do not determine all keyframes.
     PosesUndetermined,
+    /// For a while there was no scan.
+    ScanGap {
+        /// When it began, seconds after the first scan.
+        after_secs: f64,
+        /// How long.
+        secs: f64,
+    },
+    /// A trajectory to start from does not reach all scans.
+    StartPartial {
+        /// Scans that it does not reach.
+        missing: u64,
+        /// All scans.
+        scans: u64,
+    },
+    /// Eq. (4) and its correspondences still changed one another when the last round was done.
+    NotAtRest {
+        /// Rounds.
+        rounds: u64,
+        /// Farthest that a keyframe moved in the last, metres.
+        moved_m: f64,
+        /// Farthest that one turned, degrees.
+        turned_deg: f64,
+    },
     /// Many observations do not agree with the poses.
     ManyOutliers {
         /// Share of the observations farther off than `max_px`.
@@ -229,6 +282,30 @@ impl MappingWarning {
                 "images and scans do not determine all keyframes, so that nothing is said of how well their poses are known".to_owned(),
             )
             .remedy("map where the LiDAR sees walls on several sides, or with more images"),
+            Self::ScanGap { after_secs, secs } => warn(
+                "scan-gap",
+                "LiDAR",
+                format!("for {secs:.1} s, {after_secs:.1} s after the first scan, there is none: the poses there are those of IMU and images, and may be off by centimetres"),
+            )
+            .value(*secs, "s")
+            .remedy("check the LiDAR's cable and network (`lsfb doctor`), and scan that part again"),
+            Self::StartPartial { missing, scans } => warn(
+                "start-partial",
+                "trajectory",
+                format!("{missing} of {scans} scans are not within the trajectory that was given to start from: what they saw is not in the map"),
+            )
+            .remedy("give the whole trajectory of this recording"),
+            Self::NotAtRest {
+                rounds,
+                moved_m,
+                turned_deg,
+            } => warn(
+                "not-at-rest",
+                "poses",
+                format!("after {rounds} rounds keyframes still moved by {:.1} mm and {turned_deg:.2}°", 1e3 * moved_m),
+            )
+            .value(1e3 * *moved_m, "mm")
+            .remedy("start from a better trajectory, or allow more rounds (outer_iterations)"),
             Self::ManyOutliers { share, max_px } => warn(
                 "many-outliers",
                 "",

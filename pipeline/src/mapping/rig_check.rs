@@ -56,12 +56,40 @@ const MOST_OBSERVATIONS: usize = 30_000;
 /// Time before and after an image from which its motion follows, nanoseconds.
 const MOTION_NS: i64 = 10_000_000;
 
+/// The cameras as images show them.
+pub(super) struct ShownCameras {
+    pub errors: Vec<CameraError>,
+    /// Those that have images, with their lenses and places as found.
+    rig: Rig,
+}
+
+impl ShownCameras {
+    /// The rig with the cameras as found that are other than stated for sure; `None` where none is. A camera whose clock is off stays as it is: its images are
+    /// at wrong poses.
+    pub fn refined(&self, stated: &Rig) -> Option<Rig> {
+        let mut refined = stated.clone();
+        let mut any = false;
+        for error in self.errors.iter().filter(|error| error.is_refinable()) {
+            let found = self.rig.cameras.get(&error.camera);
+            let Some((camera, found)) = refined.cameras.get_mut(&error.camera).zip(found) else {
+                continue;
+            };
+            *camera = RigCamera {
+                timing: camera.timing,
+                ..found.clone()
+            };
+            any = true;
+        }
+        any.then_some(refined)
+    }
+}
+
 /// Finds the errors of all cameras that have images.
 pub(super) fn camera_errors(
     checked: &Checked,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<Vec<CameraError>, Error> {
+) -> Result<ShownCameras, Error> {
     let images = &checked.keyframes.images;
     let mut rig = checked.rig.clone();
     // Images are posed at their own times already.
@@ -102,7 +130,7 @@ pub(super) fn camera_errors(
             break;
         }
     }
-    Ok(errors)
+    Ok(ShownCameras { errors, rig })
 }
 
 /// What one camera is off by, and how well that is known.

@@ -203,6 +203,86 @@ fn cameras_that_are_not_as_the_rig_file_says_are_named() {
     assert_eq!(camera_faults(&wrong, 0), faults);
 }
 
+/// A camera turned by 3° and one whose focal length is 3 % too long, with the setting that takes them as the images show them.
+#[test]
+fn cameras_are_taken_as_the_images_show_them_where_that_is_asked_for() {
+    let mut wrong = rig();
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3f64.to_radians());
+    let camera = wrong.cameras.get_mut("cam0").expect("cam0");
+    camera.rig_from_camera = camera.rig_from_camera * Se3::new(turn, Vector3::zeros());
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record_with(&path, 5.0, &["cam0", "cam1", "cam2"], 0.03, 0, &wrong);
+    let recording = Recording::open(&path).expect("recording");
+    let config = MappingConfig {
+        refine_cameras: true,
+        ..MappingConfig::default()
+    };
+    let MappingResult { map, report, .. } =
+        build_map(&recording, &config, &no_progress).expect("map");
+    let refined: Vec<&str> = report.refined.iter().map(|e| e.camera.as_str()).collect();
+    assert_eq!(refined, ["cam0"]);
+    let left = report.cameras.iter().flat_map(CameraError::findings);
+    let left: Vec<Finding> = left.filter(|f| f.verdict >= Verdict::Warn).collect();
+    assert!(left.is_empty(), "{left:?}");
+    let found = map.rig().cameras["cam0"].rig_from_camera;
+    let off = found.inverse() * rig().cameras["cam0"].rig_from_camera;
+    assert!(off.rotation.angle() < 0.2f64.to_radians(), "{off:?}");
+    assert_eq!(map.stated_cameras()["cam0"], wrong.cameras["cam0"]);
+    assert!(map.failures().is_empty(), "{:?}", map.failures());
+}
+
+/// Another program's SLAM that drifts by 5 % and a degree a metre: scans and images lead back.
+#[test]
+fn a_start_that_drifts_comes_back() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 5.0, &["cam0", "cam1", "cam2"], 0.03);
+    let recording = Recording::open(&path).expect("recording");
+    let truth = |ms: i32| room::world_from_rig(f64::from(ms) * 1e-3);
+    let mut pose = truth(0);
+    let poses = (0..500).map(|step| {
+        let moved = truth(10 * step).inverse() * truth(10 * step + 10);
+        let stamped = StampedPose {
+            time: room::time(f64::from(step) * 0.01),
+            world_from_rig: pose,
+        };
+        let turn = 0.0175 * moved.translation.norm();
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        pose = pose * Se3::new(turn * moved.rotation, moved.translation * 1.05);
+        stamped
+    });
+    let start = Trajectory::new(poses.collect());
+    let before_m = rms_error_m(&start);
+    let build = |start: &Trajectory| {
+        let (config, none) = (MappingConfig::default(), KeptStages::none());
+        build_map_in_stages(
+            &recording,
+            Start::Given(start),
+            &config,
+            &none,
+            &no_progress,
+        )
+    };
+    let result = build(&start).expect("map");
+    let after_m = rms_error_m(&result.trajectory);
+    assert!(
+        before_m > 0.02 && after_m < 0.01,
+        "{before_m} → {after_m} m"
+    );
+    let report = &result.report;
+    assert!(report.reprojection_rms_px < 1.0, "{report:?}");
+    assert!(report.rounds.len() > 1 && report.rounds.len() <= 10);
+    // A walk of another hour.
+    let hour_ns = 3_600_000_000_000;
+    let elsewhere = start.poses().iter().map(|pose| StampedPose {
+        time: pose.time + hour_ns,
+        ..*pose
+    });
+    let refused = build(&Trajectory::new(elsewhere.collect()));
+    assert!(matches!(refused, Err(Error::StartElsewhere { .. })));
+}
+
 #[test]
 fn the_cameras_clock_is_taken_from_the_rig_file_and_checked() {
     let late_ns = 50_000_000;
@@ -262,7 +342,7 @@ fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
             true => Err(Stopped),
             false => show(p),
         };
-        build_map_in_stages(&recording, &config, &kept, &progress)
+        build_map_in_stages(&recording, Start::Odometry, &config, &kept, &progress)
     };
     for stage in &stages {
         let stopped = go_on(&|p| p.stage == *stage);

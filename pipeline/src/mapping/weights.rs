@@ -1,5 +1,8 @@
 //! Standard deviations of the terms of Eq. (4), from the scatter of their residuals.
 
+use lsfb_geometry::{StampedPose, so3};
+
+use super::MappingConfig;
 use super::config::CorrelationConfig;
 use super::keyframes::Keyframe;
 use super::report::LidarResiduals;
@@ -19,6 +22,52 @@ pub(super) struct Weights {
     pub plane_sigma_m: f64,
     pub edge_sigma_m: f64,
     pub pixel_sigma_px: f64,
+    pub contradicted: Contradicted,
+}
+
+/// How much wider than the settings say the motion between keyframes is taken, as a factor of its standard deviations of rotation and translation: scans and
+/// images that contradict a start show that it is not known so well. 1 where they do not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Contradicted {
+    pub rotation: f64,
+    pub translation: f64,
+}
+
+impl Default for Contradicted {
+    fn default() -> Self {
+        Self {
+            rotation: 1.0,
+            translation: 1.0,
+        }
+    }
+}
+
+impl Contradicted {
+    /// From the motion that Eq. (4) found between keyframes, against that of the start. It only grows: what was contradicted once
+    /// must not hold a later round back.
+    pub fn seen(self, start: &[StampedPose], now: &[StampedPose], config: &MappingConfig) -> Self {
+        let (mut turns, mut shifts, mut count) = (0.0, 0.0, 0);
+        for (was, is) in start.windows(2).zip(now.windows(2)) {
+            let motion =
+                |pair: &[StampedPose]| pair[0].world_from_rig.inverse() * pair[1].world_from_rig;
+            let off = motion(was).inverse() * motion(is);
+            let secs = was[1].time.secs_since(was[0].time).max(1e-3);
+            turns += so3::log(&off.rotation).norm_squared() / secs;
+            shifts += off.translation.norm_squared() / secs;
+            count += 3;
+        }
+        if count == 0 {
+            return self;
+        }
+        let rms = |squares: f64, sigma: f64| (squares / f64::from(count)).sqrt() / sigma;
+        let turn_rad = config.odometry_rotation_sigma_deg.to_radians();
+        Self {
+            rotation: self.rotation.max(rms(turns, turn_rad)),
+            translation: self
+                .translation
+                .max(rms(shifts, config.odometry_translation_sigma_m)),
+        }
+    }
 }
 
 impl Weights {
@@ -38,6 +87,7 @@ impl Weights {
             plane_sigma_m: plane_m.max(MIN_SIGMA_M),
             edge_sigma_m: edge_m.max(MIN_SIGMA_M),
             pixel_sigma_px: pixel_px.max(MIN_SIGMA_PX),
+            contradicted: Contradicted::default(),
         }
     }
 }

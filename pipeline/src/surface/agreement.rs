@@ -3,7 +3,7 @@
 use lsfb_geometry::Vector3;
 use lsfb_types::{Finding, Limit, Verdict};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Surface;
 use super::render::Sight;
@@ -31,7 +31,7 @@ pub(super) struct Beam {
 }
 
 /// How well scans agree with one another at the poses that were given.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Agreement {
     /// Share of the voxels with returns that lie on a plane.
     pub on_planes: f64,

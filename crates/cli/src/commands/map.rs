@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map_in_stages};
+use lsfb_pipeline::hd_map::{HdMap, MarkConfig, PosedMapConfig, build_map_from_posed_images};
+use lsfb_pipeline::mapping::{MappingConfig, MappingReport, Start, build_map_in_stages};
 use lsfb_pipeline::posed_images::PosedImages;
-use lsfb_recording::{Provenance, write_tum};
+use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::map_distances::MarkedDistances;
 use super::map_report::{MapPage, coverage, findings};
+use super::map_surface::check_source;
 use super::map_tools::{self, Tool};
 use super::models::ModelFolder;
 use crate::context::Context;
@@ -25,6 +27,8 @@ use crate::standing;
 ///
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
+///   lsfb map scan.mcap --trajectory other-slam.tum --out map
+///   lsfb map scan.mcap --marks marks.csv --survey hall.survey --out map --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
 ///   lsfb map --posed-images nerfstudio/scene --out scene-map
@@ -56,6 +60,15 @@ struct BuildArguments {
     /// poses_T_world_cam_rowmajor4x4.txt and images/; a sequence of 7-Scenes; or a scene of Strecha's.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
+    /// Start Eq. 4 from this trajectory of the rig, of another program's SLAM, instead of the odometry.
+    #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
+    trajectory: Option<PathBuf>,
+    /// Clicks on marks in its images, as `lsfb map distances` takes them: their distances become part of verdict and page.
+    #[arg(long, value_name = "CSV", conflicts_with = "posed_images")]
+    marks: Option<PathBuf>,
+    /// What was measured between those marks.
+    #[arg(long, value_name = "SURVEY", requires = "marks")]
+    survey: Option<PathBuf>,
     /// Hold out every N-th of those images, to localize them later.
     #[arg(long, value_name = "N", requires = "posed_images")]
     holdout_every: Option<usize>,
@@ -102,6 +115,15 @@ struct MapSummary<'a, R> {
     report: R,
 }
 
+/// What is said of a map of a recording.
+#[derive(Serialize)]
+struct Reported<'a> {
+    #[serde(flatten)]
+    report: &'a MappingReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    marks: Option<&'a MarkedDistances>,
+}
+
 /// Builds, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     if let Some(tool) = &arguments.tool {
@@ -122,11 +144,24 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out_trajectory: arguments.out_trajectory.as_deref(),
         out_report: arguments.out_report.as_deref(),
         config: &config,
+        start: arguments.trajectory.as_deref(),
+        marks: arguments.marks.as_deref().map(|clicks| MarkFiles {
+            clicks,
+            survey: arguments.survey.as_deref(),
+        }),
     };
-    let built = job.build(context, |result| context.claim(result, &[recording]))?;
-    let judgement = Judgement::new(findings(&built.map, &built.report));
+    let read = job.inputs();
+    let built = job.build(context, |result| context.claim(result, &read))?;
+    let mut findings = findings(&built.map, &built.report);
+    let marked = built.marked.as_ref();
+    findings.extend(marked.iter().flat_map(|marked| marked.findings()));
+    let judgement = Judgement::new(findings);
     let r = &built.report;
-    let summary = summary(&arguments.out, &built.map, &judgement, r);
+    let report = Reported {
+        report: r,
+        marks: marked,
+    };
+    let summary = summary(&arguments.out, &built.map, &judgement, report);
     context.print(&summary, || {
         let text = format!(
             "{}: {} points, {} observations in {} images, reprojection {:.3} px rms ({:.3} px before Eq. 4)",
@@ -137,7 +172,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.reprojection_rms_px,
             r.reprojection_rms_before_px
         );
-        text + &sentences(&judgement)
+        let marks = marked.map_or_else(String::new, |m| format!("\n\n{}", m.text()));
+        text + &sentences(&judgement) + marks.trim_end()
     })?;
     Ok(match Outcome::of(judgement.verdict()) {
         Outcome::Done if !r.has_all_data() => Outcome::DataLost,
@@ -151,6 +187,8 @@ pub struct WrittenMap {
     pub report: MappingReport,
     /// Of every observation in the map.
     pub reprojection_errors_px: Vec<f32>,
+    /// Distances between marks, where there are any.
+    pub marked: Option<MarkedDistances>,
     pub provenance: Provenance,
 }
 
@@ -159,6 +197,14 @@ pub struct WrittenMap {
 struct Said {
     report: MappingReport,
     reprojection_errors_px: Vec<f32>,
+    marked: Option<MarkedDistances>,
+}
+
+/// Clicks on marks, and what was measured between these.
+#[derive(Clone, Copy)]
+pub struct MarkFiles<'a> {
+    pub clicks: &'a Path,
+    pub survey: Option<&'a Path>,
 }
 
 /// A map to be built of a recording.
@@ -168,9 +214,23 @@ pub struct MapJob<'a> {
     pub out_trajectory: Option<&'a Path>,
     pub out_report: Option<&'a Path>,
     pub config: &'a MappingConfig,
+    /// The trajectory to start from instead of the odometry's.
+    pub start: Option<&'a Path>,
+    pub marks: Option<MarkFiles<'a>>,
 }
 
 impl MapJob<'_> {
+    /// All files that it reads.
+    fn inputs(&self) -> Vec<&Path> {
+        let mut read = vec![self.recording];
+        read.extend(self.start);
+        if let Some(MarkFiles { clicks, survey }) = self.marks {
+            read.push(clicks);
+            read.extend(survey);
+        }
+        read
+    }
+
     /// Builds the map and writes it, its trajectory and where both come from, unless they stand. `claim` is asked before
     /// anything is replaced.
     pub fn build(
@@ -184,26 +244,46 @@ impl MapJob<'_> {
             .collect();
         let scan = context.open(self.recording)?;
         let mut provenance = Provenance::new(self.config);
-        provenance.add_input(self.recording)?;
+        for path in self.inputs() {
+            provenance.add_input(path)?;
+        }
         provenance.add_rig(&super::about(self.recording, scan.rig())?);
         if let Some(Said {
             report,
             reprojection_errors_px,
+            marked,
         }) = context.standing(&outputs, &provenance)
         {
             return Ok(WrittenMap {
                 map: super::open_map(self.out)?,
                 report,
                 reprojection_errors_px,
+                marked,
                 provenance,
             });
         }
+        let start = self.start.map(|path| {
+            check_source(path, self.recording)?;
+            anyhow::Ok(read_tum(path)?)
+        });
+        let start = start.transpose()?;
         outputs.iter().try_for_each(|result| claim(result))?;
         let stages = context.kept_stages(self.out, &provenance)?;
         let result = super::about(
             self.recording,
-            build_map_in_stages(&scan, self.config, &stages, &|p| context.show(p)),
+            build_map_in_stages(
+                &scan,
+                start.as_ref().map_or(Start::Odometry, Start::Given),
+                self.config,
+                &stages,
+                &|p| context.show(p),
+            ),
         )?;
+        let marked = self.marks.map(|MarkFiles { clicks, survey }| {
+            let along = Some(&result.trajectory);
+            MarkedDistances::of(&result.map, along, clicks, survey, &MarkConfig::default())
+        });
+        let marked = marked.transpose()?;
         standing::forget(&outputs)?;
         result.map.write(self.out)?;
         provenance.write(self.out)?;
@@ -215,6 +295,7 @@ impl MapJob<'_> {
         let said = Said {
             reprojection_errors_px: errors_px.map(|px| *px as f32).collect(),
             report: result.report,
+            marked,
         };
         if let Some(path) = self.out_report {
             let page = MapPage {
@@ -222,6 +303,7 @@ impl MapJob<'_> {
                 map: &result.map,
                 report: &said.report,
                 reprojection_errors_px: &said.reprojection_errors_px,
+                marked: said.marked.as_ref(),
             };
             super::write(path, page.to_html())?;
             provenance.write(path)?;
@@ -232,6 +314,7 @@ impl MapJob<'_> {
             map: result.map,
             report: said.report,
             reprojection_errors_px: said.reprojection_errors_px,
+            marked: said.marked,
             provenance,
         })
     }

@@ -1,10 +1,12 @@
 //! The page of a map: residuals before and after Eq. (4), coverage, weak stretches.
 
-use lsfb_eval::report::{Distribution, Figure, Provenance, Report, Track};
+use lsfb_eval::report::{Course, Distribution, Figure, Provenance, Report, Track};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::mapping::MappingReport;
+use lsfb_pipeline::mapping::{MappingReport, RoundReport};
 use lsfb_types::{Finding, Limit, Verdict};
+
+use super::map_distances::MarkedDistances;
 
 /// A keyframe with fewer observations of map points than this could hardly be found in its own map.
 const MIN_OBSERVATIONS_PER_KEYFRAME: u64 = 30;
@@ -16,6 +18,8 @@ pub struct MapPage<'a> {
     pub report: &'a MappingReport,
     /// Of every observation, pixels.
     pub reprojection_errors_px: &'a [f32],
+    /// Distances between marks.
+    pub marked: Option<&'a MarkedDistances>,
 }
 
 /// What every reader of a map should know: warnings of its odometry and its mapping, and where nobody would be found.
@@ -39,6 +43,19 @@ impl MapPage<'_> {
         let mm = |name: &str, metres: f64| Figure::new(name, metres * 1e3, "mm");
         let px = |name: &str, px: f64| Figure::new(name, px, "px");
         let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
+        let mut findings = findings(self.map, report);
+        let mut provenance = vec![Provenance {
+            name: "rounds of Eq. (4)".to_owned(),
+            value: rounds(report),
+        }];
+        let marked_figures = self.marked.map_or_else(Vec::new, |marked| {
+            findings.extend(marked.findings());
+            provenance.push(Provenance {
+                name: "marks and distances".to_owned(),
+                value: marked.text(),
+            });
+            marked.figures()
+        });
         Report {
             title: format!("Map of {}", self.name),
             figures: vec![
@@ -62,7 +79,11 @@ impl MapPage<'_> {
                     "%",
                 ),
                 count("weakly covered keyframes", coverage.weak.len() as u64),
-            ],
+            ]
+            .into_iter()
+            .chain(marked_figures)
+            .collect(),
+            courses: courses(report),
             map_points: self.map.positions().collect(),
             tracks: vec![
                 track("scanner", coverage.keyframes.clone()),
@@ -91,11 +112,8 @@ impl MapPage<'_> {
                     coverage.track_lengths.iter().map(|n| *n as f64),
                 ),
             ],
-            findings: findings(self.map, report),
-            provenance: vec![Provenance {
-                name: "rounds of Eq. (4)".to_owned(),
-                value: rounds(report),
-            }],
+            findings,
+            provenance,
             ..Report::default()
         }
         .to_html()
@@ -187,6 +205,21 @@ fn distribution(
         unit: unit.to_owned(),
         values: values.collect(),
     }
+}
+
+/// How far keyframes still moved, and what the scans still lay apart, round by round.
+fn courses(report: &MappingReport) -> Vec<Course> {
+    let course = |title: &str, unit: &str, value: &dyn Fn(&RoundReport) -> f64| Course {
+        title: title.to_owned(),
+        quantity: "round of correspondences and Eq. (4)".to_owned(),
+        unit: unit.to_owned(),
+        values: report.rounds.iter().map(value).collect(),
+    };
+    vec![
+        course("Farthest that a keyframe moved", "mm", &|r| 1e3 * r.moved_m),
+        course("Matches of planes", "", &|r| r.plane_matches as f64),
+        course("Cost of Eq. (4), at its end", "", &|r| r.final_cost),
+    ]
 }
 
 /// One line a round.

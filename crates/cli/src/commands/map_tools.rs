@@ -11,6 +11,7 @@ use lsfb_types::{median, quantile};
 use serde::Serialize;
 
 use super::map_depth::{DepthArguments, depth};
+use super::map_distances::{DistancesArguments, distances};
 use super::map_folder::{bytes_in, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
@@ -28,6 +29,7 @@ pub enum Tool {
     Merge(MergeArguments),
     Prune(PruneArguments),
     Depth(DepthArguments),
+    Distances(DistancesArguments),
     #[cfg(feature = "view")]
     View(ViewArguments),
 }
@@ -169,6 +171,7 @@ pub fn run(tool: &Tool, context: &Context) -> anyhow::Result<Outcome> {
         Tool::Merge(arguments) => merge(arguments, context),
         Tool::Prune(arguments) => prune(arguments, context),
         Tool::Depth(arguments) => depth(arguments, context),
+        Tool::Distances(arguments) => distances(arguments, context),
         #[cfg(feature = "view")]
         Tool::View(arguments) => view(arguments, context),
     }

@@ -30,6 +30,7 @@ mod inertial;
 pub mod localize;
 pub mod map;
 mod map_depth;
+mod map_distances;
 mod map_folder;
 mod map_keyframes;
 mod map_prune;

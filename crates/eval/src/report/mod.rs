@@ -12,6 +12,7 @@ use crate::compare::Comparison;
 use crate::error::Error;
 use crate::evaluation::{Evaluation, PoseError};
 
+mod course;
 mod cumulative;
 mod equal_scale;
 mod errors_over_time;
@@ -46,6 +47,8 @@ pub struct Report {
     pub comparison: Vec<Comparison>,
     /// Distributions, one plot each: reprojection errors of map and glasses.
     pub histograms: Vec<Distribution>,
+    /// Values that went from step to step, one plot each.
+    pub courses: Vec<Course>,
     /// How long each stage took, in the order they ran.
     pub stages: Vec<StageTime>,
     /// What else the reader should know before trusting a figure.
@@ -102,6 +105,19 @@ pub struct Distribution {
     /// Unit of the values.
     pub unit: String,
     /// The values, none below zero; what is not finite is left out.
+    pub values: Vec<f64>,
+}
+
+/// A value after each step of an iteration.
+#[derive(Clone, Debug)]
+pub struct Course {
+    /// Heading, and what the values are, without the unit.
+    pub title: String,
+    /// What a step is.
+    pub quantity: String,
+    /// Unit of the values.
+    pub unit: String,
+    /// The values, in order of the steps, none below zero; what is not finite is left out.
     pub values: Vec<f64>,
 }
 

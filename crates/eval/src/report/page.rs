@@ -17,6 +17,7 @@ pub(super) fn render(report: &Report) -> String {
         div.pair {
             (sections::errors(report))
             (sections::distributions(report))
+            (sections::courses(report))
             (sections::stages(report))
         }
     };

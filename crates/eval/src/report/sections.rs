@@ -5,7 +5,7 @@ use maud::{Markup, html};
 
 use super::errors_over_time::{self, Length, Part};
 use super::histogram::{self, Histogram};
-use super::{Report, cumulative, top_view};
+use super::{Report, course, cumulative, top_view};
 use crate::statistics::Statistics;
 
 pub(super) fn from_above(report: &Report) -> Markup {
@@ -120,6 +120,16 @@ fn beyond(histogram: &Histogram) -> Markup {
     html! {
         @if histogram.beyond >= 5e-4 {
             span.key { (format!("{:.1}", 100.0 * histogram.beyond)) "\u{a0}% lie beyond the right edge" }
+        }
+    }
+}
+
+pub(super) fn courses(report: &Report) -> Markup {
+    let drawn = report.courses.iter();
+    let drawn = drawn.filter_map(|course| Some((course, course::draw(course)?)));
+    html! {
+        @for (course, drawing) in drawn {
+            section { h2 { (course.title) } figure { (drawing) } }
         }
     }
 }

@@ -150,6 +150,12 @@ fn made_up() -> Report {
                 evaluation: &glasses,
             },
         ]),
+        courses: vec![Course {
+            title: "Farthest that a keyframe moved".to_owned(),
+            quantity: "round".to_owned(),
+            unit: "mm".to_owned(),
+            values: vec![5.0, 1.0, 0.1],
+        }],
         histograms: vec![
             Distribution {
                 title: "Reprojection errors of the map".to_owned(),
@@ -225,10 +231,11 @@ fn page_stands_alone_and_shows_everything() {
         "sha256",
         "stroke-dasharray",
         "var(--shade4)",
+        "Farthest that a keyframe moved",
     ] {
         assert!(page.contains(part), "{part}");
     }
-    assert_eq!(page.matches("<svg").count(), 7);
+    assert_eq!(page.matches("<svg").count(), 8);
     assert_eq!(page.matches("<canvas").count(), 1);
     assert!(page.len() < 1_500_000, "{} bytes", page.len());
     assert_eq!(page, report.to_html());

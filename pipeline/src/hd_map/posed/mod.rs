@@ -1,4 +1,5 @@
 mod cameras;
+mod poses;
 mod strangers;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,6 +19,8 @@ use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
 use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
 use crate::posed_images::PosedImages;
 use cameras::{Shown, found_cameras};
+pub use poses::PoseRefinement;
+use poses::refined_poses;
 use strangers::{Mapped, strangers};
 
 /// Images in memory at once.
@@ -33,6 +36,8 @@ pub struct PosedMapConfig {
     pub keyframe_angle_deg: f64,
     /// Whether cameras whose images show surely that they are other than stated are taken as the images show them.
     pub refine_cameras: bool,
+    /// Whether, and how far, the poses may be other than listed.
+    pub refine_poses: PoseRefinement,
     /// Features.
     pub sift: SiftConfig,
     /// A network that finds features instead.
@@ -49,6 +54,7 @@ impl Default for PosedMapConfig {
             keyframe_distance_per_depth: 0.026,
             keyframe_angle_deg: 6.0,
             refine_cameras: true,
+            refine_poses: PoseRefinement::default(),
             sift: SiftConfig::default(),
             learned: None,
             reconstruction: ReconstructionConfig::default(),
@@ -62,6 +68,7 @@ lsfb_types::bounds! {
         keyframe_distance_per_depth: number(Bounds::NOT_NEGATIVE),
         keyframe_angle_deg: number(Bounds::NOT_NEGATIVE),
         refine_cameras: any,
+        refine_poses: section,
         sift: section,
         learned: any,
         reconstruction: section,
@@ -97,7 +104,7 @@ pub fn build_map_from_posed_images(
     let distance = config.keyframe_distance_per_depth * depth;
     let chosen = select_keyframes(&poses, distance, config.keyframe_angle_deg);
     detected.detect(&chosen, progress)?;
-    let (keyframes, images) = detected.keyframes(&chosen);
+    let (mut keyframes, images) = detected.keyframes(&chosen);
     drop(detected);
     let reconstruction = &config.reconstruction;
     let tracks = find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)?;
@@ -118,6 +125,17 @@ pub fn build_map_from_posed_images(
     let tracks = match stated.is_empty() {
         true => tracks,
         false => find_tracks(&rig, &keyframes, &images, reconstruction, progress)?,
+    };
+    let mut moved_far = Vec::new();
+    let tracks = match config.refine_poses.enabled {
+        false => tracks,
+        true => {
+            let settings = (&config.refine_poses, reconstruction);
+            let refined = refined_poses(&rig, &keyframes, &images, depth, settings, progress)?;
+            keyframes = refined.keyframes;
+            moved_far = refined.far;
+            refined.tracks
+        }
     };
     let triangulation = &reconstruction.triangulation;
     let points = triangulate_tracks(&rig, &keyframes, &images, &tracks, triangulation)?;
@@ -140,12 +158,21 @@ pub fn build_map_from_posed_images(
         map: &map,
         config: reconstruction,
     };
-    let strangers = strangers(&mapped, |image| {
+    let name_of = |image: usize| {
         let path = chosen.get(image).map(|i| &posed.images[*i].path);
         let name = path.and_then(|path| path.file_name()).unwrap_or_default();
         name.to_string_lossy().into_owned()
-    })?;
-    Ok(map.with_failures(contradiction.into_iter().chain(strangers).collect()))
+    };
+    let strangers = strangers(&mapped, &name_of)?;
+    let far = moved_far.first().map(|first| {
+        format!(
+            "{} poses are farther from where the list has them than it is thought to be off (refine_poses), that of {} the first",
+            moved_far.len(),
+            name_of(*first)
+        )
+    });
+    let failures = contradiction.into_iter().chain(strangers).chain(far);
+    Ok(map.with_failures(failures.collect()))
 }
 
 /// Indices of the images that say how deep the scene is.

@@ -1,8 +1,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, Rig, RigCamera, UnitQuaternion};
+use lsfb_geometry::{Camera, Rig, RigCamera, UnitQuaternion, Vector3};
 use lsfb_types::no_progress;
 use nalgebra::Matrix3;
 
@@ -180,6 +181,63 @@ fn a_list_with_another_focal_length_gives_a_map_with_the_right_one() {
     assert!(moved.rotation.angle().to_degrees() < 0.2, "{moved:?}");
     // Another camera is what is stated of it.
     assert_eq!(read.as_found("cam0", true_camera), *true_camera);
+}
+
+/// How far places are apart after the best rigid motion, root mean square and at most, metres.
+fn apart_m(found: &[Vector3<f64>], truth: &[Vector3<f64>]) -> [f64; 2] {
+    let aligned = umeyama(found, truth, Scale::Fixed).expect("places");
+    let off = found.iter().zip(truth);
+    let off: Vec<f64> = off.map(|(f, t)| (aligned.apply(f) - t).norm()).collect();
+    let squares: f64 = off.iter().map(|m| m * m).sum();
+    [
+        (squares / off.len() as f64).sqrt(),
+        off.iter().copied().fold(0.0, f64::max),
+    ]
+}
+
+#[test]
+fn poses_that_are_a_little_off_become_as_the_images_show_them() {
+    let folder = tempfile::tempdir().expect("folder");
+    let right = walk(folder.path(), 1.0);
+    let mut off = right.clone();
+    for (i, image) in (0..).zip(&mut off.images) {
+        // Up to half a degree and two centimetres, another way each.
+        let error = |axis: i32| (2.3 * f64::from(i) + 1.7 * f64::from(axis)).sin();
+        let [a, b, c] = [0, 1, 2].map(|axis| 0.008 * error(axis));
+        let [x, y, z] = [3, 4, 5].map(|axis| 0.02 * error(axis));
+        image.world_from_rig = image.world_from_rig * Se3::exp(&[a, b, c, x, y, z].into());
+    }
+    let config = |enabled: bool| PosedMapConfig {
+        keyframe_distance_per_depth: 0.0,
+        keyframe_angle_deg: 0.0,
+        refine_cameras: false,
+        refine_poses: PoseRefinement {
+            enabled,
+            ..PoseRefinement::default()
+        },
+        ..PosedMapConfig::default()
+    };
+    let places = |posed: &PosedImages| -> Vec<Vector3<f64>> {
+        let images = posed.images.iter();
+        images.map(|i| i.world_from_rig.translation).collect()
+    };
+    let truth = places(&right);
+    let [before_m, _] = apart_m(&places(&off), &truth);
+    let map = build_map_from_posed_images(&off, &config(true), &no_progress).expect("a map");
+    let keyframes = 0..map.keyframe_count() as u32;
+    let found: Vec<Vector3<f64>> = keyframes
+        .filter_map(|k| Some(map.keyframe(k)?.world_from_rig.translation))
+        .collect();
+    let [after_m, _] = apart_m(&found, &truth);
+    assert!(
+        before_m > 0.015 && after_m < 0.006,
+        "{before_m} → {after_m} m"
+    );
+    assert!(map.failures().is_empty(), "{:?}", map.failures());
+    // As listed, few matches lie where they should.
+    let listed = build_map_from_posed_images(&off, &config(false), &no_progress);
+    let points = listed.map_or(0, |map| map.point_count());
+    assert!(points < map.point_count(), "{points}");
 }
 
 #[test]

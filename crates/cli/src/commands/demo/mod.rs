@@ -127,6 +127,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out: &files.map,
         out_trajectory: Some(&files.scan_trajectory),
         out_report: None,
+        start: None,
+        marks: None,
         config: &MappingConfig::default(),
     };
     let map = map_job.build(context, replace)?;

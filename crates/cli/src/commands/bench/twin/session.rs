@@ -89,6 +89,8 @@ impl Session<'_> {
             out: &map,
             out_trajectory: Some(&trajectory),
             out_report: None,
+            start: None,
+            marks: None,
             config: &MappingConfig::default(),
         };
         let built = costs.of(MAP, |made| {

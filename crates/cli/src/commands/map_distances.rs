@@ -1,0 +1,406 @@
+//! Distances between marks in a map's images: `lsfb map distances`, and the part of a map's page and verdict that they are.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use lsfb_eval::report::{Figure, Provenance as Line, Report};
+use lsfb_eval::survey::{Tape, compare_distances, read_survey};
+use lsfb_geometry::{StampedPose, Trajectory, Vector3};
+use lsfb_pipeline::hd_map::{HdMap, MarkConfig, PlacedMark, PlacedMarks, read_clicks};
+use lsfb_recording::{Provenance, read_tum};
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
+use serde::{Deserialize, Serialize};
+
+use super::map_report::track;
+use crate::context::Context;
+use crate::files::{name_of, write};
+use crate::judged::{Judged, problem_lines};
+use crate::outcome::Outcome;
+
+/// What is asked of a map of centimetres, metres: mean and largest difference from what was measured. The paper's has 6.61 and 19.89 cm.
+const MEAN_M: f64 = 0.03;
+const LARGEST_M: f64 = 0.05;
+/// A difference of more standard deviations is not by chance.
+const CHANCE_SIGMAS: f64 = 4.0;
+/// A distance that clicks and tape do not tell better than this judges no map, metres, 1 σ.
+const JUDGING_SIGMA_M: f64 = 0.5 * LARGEST_M;
+/// Lines that a reader still reads; `--json` has all.
+const MOST_LINES: usize = 60;
+
+/// Distances between marks that somebody clicked in images of a map, and how far they are from what a tape says.
+///
+/// The clicks are lines of mark,camera,time_ns,u_px,v_px: a name, the camera, the stamp of the image in nanoseconds (`lsfb map export` names images so)
+/// and the pixel. Three or more images a mark; they may be any within --trajectory, without it those of keyframes. What was measured is a survey, as
+/// `lsfb survey` reads it: distance A B METRES, with its σ behind it where it is known. `lsfb sim` writes both of its scan: marks.csv and
+/// truth/truth_marks.survey.
+///
+/// Exit code 4 where the map is off by more than 3 cm on average or 5 cm at most.
+///
+/// Examples:
+///   lsfb map distances map --marks marks.csv --trajectory scan.tum
+///   lsfb map distances map --marks marks.csv --trajectory scan.tum --survey hall.survey --out distances.html
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct DistancesArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Clicks on marks.
+    #[arg(long, value_name = "CSV")]
+    marks: PathBuf,
+    /// Measured distances between them.
+    #[arg(long, value_name = "SURVEY")]
+    survey: Option<PathBuf>,
+    /// The trajectory that `lsfb map --out-trajectory` wrote with the map: poses of images between keyframes.
+    #[arg(long, value_name = "TUM")]
+    trajectory: Option<PathBuf>,
+    /// How well was clicked, pixels in each direction, 1 σ; where the clicks scatter more, that is taken.
+    #[arg(long, value_name = "PX", default_value_t = MarkConfig::default().click_sigma_px)]
+    click_sigma_px: f64,
+    /// Also write a page.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
+}
+
+/// A distance in the map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct MarkDistance {
+    ends: [String; 2],
+    map_m: f64,
+    /// Standard deviation of that.
+    sigma_m: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    measured: Option<Measured>,
+}
+
+/// What a tape says of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Measured {
+    measured_m: f64,
+    /// Map less measured.
+    error_m: f64,
+    /// The same in standard deviations of both.
+    sigmas: f64,
+    /// Whether it is told well enough to judge the map.
+    judges: bool,
+}
+
+/// Marks, their distances, and how far these are from what was measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MarkedDistances {
+    #[serde(flatten)]
+    placed: PlacedMarks,
+    /// Those that were measured; of all pairs where nothing was.
+    distances: Vec<MarkDistance>,
+    /// Mean and largest magnitude of the differences.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error_m: Option<[f64; 2]>,
+    /// Measured distances of which an end has no place in the map.
+    not_in_map: usize,
+}
+
+impl MarkedDistances {
+    /// Places the marks, and compares their distances with a survey where there is one.
+    pub fn of(
+        map: &HdMap,
+        trajectory: Option<&Trajectory>,
+        marks: &Path,
+        survey: Option<&Path>,
+        config: &MarkConfig,
+    ) -> anyhow::Result<Self> {
+        let placed = map.place_marks(&read_clicks(marks)?, trajectory, config);
+        let mark = |name: &String| placed.marks.iter().find(|m| m.name == *name);
+        let Some(path) = survey else {
+            let all = &placed.marks;
+            let pairs = all.iter().enumerate();
+            let pairs = pairs.flat_map(|(i, b)| all[..i].iter().map(move |a| (a, b)));
+            return Ok(Self {
+                distances: pairs.map(|(a, b)| distance(a, b, None)).collect(),
+                placed,
+                error_m: None,
+                not_in_map: 0,
+            });
+        };
+        let mut survey = read_survey(path)?;
+        survey.points = placed
+            .marks
+            .iter()
+            .map(|m| (m.name.clone(), Vector3::from(m.place_m)))
+            .collect();
+        let compared = super::about(path, compare_distances(&survey))?;
+        let tapes = survey.tapes.iter();
+        let distances: Vec<MarkDistance> = tapes
+            .filter_map(|tape| {
+                Some(distance(
+                    mark(&tape.ends[0])?,
+                    mark(&tape.ends[1])?,
+                    Some(tape),
+                ))
+            })
+            .collect();
+        Ok(Self {
+            not_in_map: survey.tapes.len() - distances.len(),
+            error_m: Some([compared.error_m.mean, compared.error_m.max]),
+            distances,
+            placed,
+        })
+    }
+
+    /// What is to be said of them.
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        let warn = |name: &'static str, subject: &str, what: String| {
+            Finding::new(name, Verdict::Warn, subject, what)
+        };
+        for mark in &self.placed.unplaced {
+            let finding = warn(
+                "mark-unplaced",
+                &mark.name,
+                format!("has no place: {}", mark.reason),
+            );
+            findings.push(
+                finding.remedy("click it again, in three images or more, from several sides"),
+            );
+        }
+        for mark in &self.placed.marks {
+            if mark.left_out > 0 {
+                let what = format!(
+                    "{} of its {} clicks are not where the others have it, and are left out",
+                    mark.left_out,
+                    mark.left_out + mark.clicks
+                );
+                findings
+                    .push(warn("mark-clicks", &mark.name, what).remedy(
+                        "click it again there; if the clicks stand, the map is bent there",
+                    ));
+            }
+            if !mark.is_checked() {
+                let what = "stands on two clicks: a wrong one would not be seen".to_owned();
+                findings.push(
+                    warn("mark-unchecked", &mark.name, what).remedy("click it in a third image"),
+                );
+            }
+        }
+        if self.placed.clicks_without_pose > 0 {
+            let what = format!(
+                "{} clicks are in images whose pose is not known, or of a camera that the map does not have",
+                self.placed.clicks_without_pose
+            );
+            findings.push(warn("clicks-without-pose", "marks", what).remedy(
+                "give the trajectory of the map (--trajectory), or click in images of its keyframes",
+            ));
+        }
+        if self.not_in_map > 0 {
+            let what = format!(
+                "{} measured distances end at marks without a place",
+                self.not_in_map
+            );
+            findings.push(warn("distances-open", "marks", what));
+        }
+        for mark in &self.placed.marks {
+            let sigma_m = mark.worst_sigma_m();
+            if self.error_m.is_some() && sigma_m > JUDGING_SIGMA_M {
+                let what = format!("is known to {:.1} cm only", 100.0 * sigma_m);
+                findings.push(
+                    warn("mark-weak", &mark.name, what)
+                        .value(sigma_m, "m")
+                        .limit(Limit::AtMost(JUDGING_SIGMA_M))
+                        .remedy("click it in images taken farther apart"),
+                );
+            }
+        }
+        findings.extend(self.error_m.map(|_| self.agreement()));
+        findings
+    }
+
+    fn agreement(&self) -> Finding {
+        let measured = || self.distances.iter().filter_map(|d| d.measured);
+        let beyond = measured()
+            .filter(|m| m.sigmas.abs() > CHANCE_SIGMAS)
+            .count();
+        let judging: Vec<f64> = measured()
+            .filter(|m| m.judges)
+            .map(|m| m.error_m.abs())
+            .collect();
+        let (all, count) = (self.distances.len(), judging.len());
+        let mean_m = judging.iter().sum::<f64>() / count.max(1) as f64;
+        let largest_m = judging.iter().copied().fold(0.0, f64::max);
+        let verdict = match mean_m <= MEAN_M && largest_m <= LARGEST_M {
+            false => Verdict::Fail,
+            true if beyond > 0 => Verdict::Warn,
+            true if count == 0 => Verdict::Unknown,
+            true => Verdict::Pass,
+        };
+        let what = format!(
+            "{count} of {all} distances, those told to {:.1} cm or better, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
+            100.0 * JUDGING_SIGMA_M,
+            1e3 * mean_m,
+            1e3 * MEAN_M,
+            1e3 * largest_m
+        );
+        Finding::new("distances", verdict, "marks", what)
+            .value(largest_m, "m")
+            .limit(Limit::AtMost(LARGEST_M))
+            .remedy("measure the worst distance again; if it stands, the map is bent there")
+    }
+
+    /// For a page.
+    pub fn figures(&self) -> Vec<Figure> {
+        let mm = |name: &str, metres: f64| Figure::new(name, 1e3 * metres, "mm");
+        let placed = &self.placed;
+        let mut figures = vec![
+            Figure::new("marks with a place", placed.marks.len() as f64, ""),
+            Figure::new("scatter of the clicks, 1 σ", placed.click_sigma_px, "px"),
+        ];
+        if let Some([mean_m, largest_m]) = self.error_m {
+            figures.push(mm("distances off, mean", mean_m));
+            figures.push(mm("distances off, largest", largest_m));
+        }
+        figures
+    }
+
+    /// Marks and distances as lines of text.
+    pub fn text(&self) -> String {
+        let mut out = format!(
+            "{:<12} {:>10} {:>10} {:>10} {:>8} {:>7} {:>9}\n",
+            "mark", "x (m)", "y (m)", "z (m)", "σ (mm)", "clicks", "rms (px)"
+        );
+        for mark in self.placed.marks.iter().take(MOST_LINES) {
+            let [x, y, z] = mark.place_m;
+            let _ = writeln!(
+                out,
+                "{:<12} {x:>10.4} {y:>10.4} {z:>10.4} {:>8.1} {:>7} {:>9.2}",
+                mark.name,
+                1e3 * mark.worst_sigma_m(),
+                mark.clicks,
+                mark.reprojection_rms_px
+            );
+        }
+        let _ = writeln!(
+            out,
+            "\n{:<20} {:>10} {:>8} {:>12} {:>10} {:>6}",
+            "distance", "map (m)", "σ (mm)", "tape (m)", "off (mm)", "in σ"
+        );
+        for d in self.distances.iter().take(MOST_LINES) {
+            let name = d.ends.join(" – ");
+            let _ = write!(out, "{name:<20} {:>10.4} {:>8.1}", d.map_m, 1e3 * d.sigma_m);
+            if let Some(m) = d.measured {
+                let off_mm = 1e3 * m.error_m;
+                let _ = write!(
+                    out,
+                    " {:>12.4} {off_mm:>10.1} {:>6.1}",
+                    m.measured_m, m.sigmas
+                );
+            }
+            out.push('\n');
+        }
+        if self.distances.len() > MOST_LINES {
+            let _ = writeln!(
+                out,
+                "… and {} more (--json)",
+                self.distances.len() - MOST_LINES
+            );
+        }
+        if let Some([mean_m, largest_m]) = self.error_m {
+            let _ = writeln!(
+                out,
+                "\nmean {:.2} cm, largest {:.2} cm (Table II of the paper: 6.61, 19.89)",
+                100.0 * mean_m,
+                100.0 * largest_m
+            );
+        }
+        if !self.placed.marks.iter().all(|m| m.with_poses) {
+            out += "how well the poses are known is unknown in this map: σ is that of the clicks alone\n";
+        }
+        out
+    }
+}
+
+fn distance(a: &PlacedMark, b: &PlacedMark, tape: Option<&Tape>) -> MarkDistance {
+    let [map_m, sigma_m] = a.distance_to(b);
+    MarkDistance {
+        ends: [a.name.clone(), b.name.clone()],
+        map_m,
+        sigma_m,
+        measured: tape.map(|tape| {
+            let error_m = map_m - tape.distance_m;
+            let both_m = sigma_m.hypot(tape.sigma_m);
+            Measured {
+                measured_m: tape.distance_m,
+                error_m,
+                sigmas: error_m / both_m,
+                judges: both_m <= JUDGING_SIGMA_M,
+            }
+        }),
+    }
+}
+
+/// Does it.
+pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config = MarkConfig {
+        click_sigma_px: arguments.click_sigma_px,
+    };
+    anyhow::ensure!(
+        config.click_sigma_px > 0.0 && config.click_sigma_px.is_finite(),
+        "--click-sigma-px must be above zero"
+    );
+    let mut read: Vec<&Path> = vec![&arguments.marks];
+    read.extend(arguments.survey.as_deref());
+    read.extend(arguments.trajectory.as_deref());
+    if let Some(out) = &arguments.out {
+        context.claim(out, &read)?;
+    }
+    let map = super::open_map(&arguments.map)?;
+    let trajectory = arguments.trajectory.as_deref().map(read_tum).transpose()?;
+    let found = MarkedDistances::of(
+        &map,
+        trajectory.as_ref(),
+        &arguments.marks,
+        arguments.survey.as_deref(),
+        &config,
+    )?;
+    let mut findings = found.findings();
+    findings.extend(
+        map.failures()
+            .iter()
+            .map(|what| Finding::new("map-failed", Verdict::Fail, "map", what.clone())),
+    );
+    let judgement = Judgement::new(findings);
+    let name = name_of(&arguments.map);
+    if let Some(out) = &arguments.out {
+        write(out, page(&name, &map, &found, &judgement).to_html())?;
+        let mut provenance = Provenance::new(&config);
+        for path in read {
+            provenance.add_input(path)?;
+        }
+        provenance.add_input(&arguments.map.join(HdMap::HEADER))?;
+        provenance.write(out)?;
+    }
+    let judged = Judged::new(&judgement, &name, &found);
+    context.print(&judged, || {
+        let mut text = format!("{}\n\n{}", judgement.headline(&name), found.text());
+        let problems = problem_lines(&judgement);
+        if !problems.is_empty() {
+            text += &format!("\n{problems}");
+        }
+        text.trim_end().to_owned()
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement) -> Report {
+    let keyframes = 0..map.keyframe_count() as u32;
+    let keyframes: Vec<StampedPose> = keyframes.filter_map(|k| map.keyframe(k)).collect();
+    Report {
+        title: format!("Distances in {name}"),
+        figures: found.figures(),
+        map_points: map.positions().collect(),
+        tracks: vec![track("scanner", keyframes)],
+        findings: judgement.findings().to_vec(),
+        provenance: vec![Line {
+            name: "marks and distances".to_owned(),
+            value: found.text(),
+        }],
+        ..Report::default()
+    }
+}
