@@ -1,4 +1,12 @@
 //! Problems that grow: each update touches what is new, what moves because of it, and nothing else.
+//!
+//! # How exact it is, and what limits it
+//!
+//! Cost is within 1e-8 of a cold solve, poses up to some 1e-4 m from the optimum: what the thresholds of [`IncrementalConfig`] leave behind, along directions in which
+//! the cost hardly changes. Tried: the gradient of each residual taken where its blocks are now (`c = JᵀJ s − g` with an older `J`, which then decides only how fast rounds
+//! converge). On a walk of 300 keyframes without gravity that comes within 4e-8 m at 3 to 4 ms an update. On tracks with gravity as an unknown, which all inertial residuals share and
+//! which turns everything a little at each update, all of them are taken anew: five times the time, and one update in eight ended in a cold solve. The way left to
+//! try is a gravity that is eliminated last, beside a first pose that is held level, and poses relative to their neighbours, so that turning everything moves next to nothing.
 
 mod factor;
 mod marks;
