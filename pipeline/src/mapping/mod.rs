@@ -59,6 +59,8 @@ pub enum Start<'a> {
     Given(&'a Trajectory),
 }
 
+/// Rounds of correspondences and Eq. (4) from such a start, at most; from the odometry the settings say how many.
+const GIVEN_ROUNDS: usize = 10;
 /// Least share of the scans that a trajectory to start from must reach.
 const LEAST_REACHED: f64 = 0.5;
 
@@ -154,6 +156,7 @@ pub fn build_map_in_stages(
                     report: &mut MappingReport| {
             let run = Run {
                 recording,
+                given: matches!(start, Start::Given(_)),
                 stages,
                 name,
             };
@@ -348,6 +351,8 @@ struct Optimised {
 /// What rounds of Eq. (4) read, where they are kept, and under which name.
 struct Run<'a> {
     recording: &'a Recording,
+    /// Whether the start is another program's.
+    given: bool,
     stages: &'a KeptStages,
     name: &'static str,
 }
@@ -428,9 +433,14 @@ fn optimise(
     keyframes.place(&matched);
     let mut tracks = look_at(&matched, &mut *keyframes)?;
     keyframes.place(&current);
-    for round in first_round..config.outer_iterations.max(1) {
+    let most_rounds = match run.given {
+        true => config.outer_iterations.max(GIVEN_ROUNDS),
+        false => config.outer_iterations.max(1),
+    };
+    for round in first_round..most_rounds {
         let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
-        if moved_m > MATCHED_M || turned_rad > MATCHED_RAD {
+        let has_left = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
+        if run.given && has_left {
             matched = keyframes.poses();
             tracks = look_at(&matched, &mut *keyframes)?;
         }
@@ -458,7 +468,10 @@ fn optimise(
         let solved = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
         let poses = keyframes.poses();
         let [moved_m, turned_rad] = largest_move(&before, &poses);
-        contradicted = contradicted.seen(odometry, &poses, config);
+        // The odometry knows how well it knows its motion: wrong cameras must not talk it out of that.
+        if run.given {
+            contradicted = contradicted.seen(odometry, &poses, config);
+        }
         let done = RoundReport {
             plane_matches: lidar.plane_matches,
             edge_matches: lidar.edge_matches,
@@ -476,8 +489,8 @@ fn optimise(
         let rests = done.moved_m < RESTING_M && done.turned_deg < RESTING_DEG;
         report.rounds.push(done);
         report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
-        if rests || round + 1 >= config.outer_iterations {
-            if !rests && config.outer_iterations > 1 {
+        if rests || round + 1 >= most_rounds {
+            if !rests && run.given {
                 report.warnings.push(MappingWarning::NotAtRest {
                     rounds: round as u64 + 1,
                     moved_m,
