@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use lsfb_eval::report::{Figure, Provenance as Line, Report};
+use lsfb_eval::report::{Figure, Provenance as Line, Report, Track};
 use lsfb_eval::survey::{Tape, compare_distances, read_survey};
 use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use lsfb_pipeline::hd_map::{HdMap, MarkConfig, PlacedMark, PlacedMarks, read_clicks};
@@ -11,7 +11,6 @@ use lsfb_recording::{Provenance, read_tum};
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::map_report::track;
 use crate::context::Context;
 use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
@@ -395,7 +394,13 @@ fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement)
         title: format!("Distances in {name}"),
         figures: found.figures(),
         map_points: map.positions().collect(),
-        tracks: vec![track("scanner", keyframes)],
+        tracks: vec![Track {
+            name: "scanner".to_owned(),
+            series: None,
+            estimate: Trajectory::new(keyframes),
+            truth: None,
+            errors: Vec::new(),
+        }],
         findings: judgement.findings().to_vec(),
         provenance: vec![Line {
             name: "marks and distances".to_owned(),
