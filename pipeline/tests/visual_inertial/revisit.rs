@@ -9,7 +9,7 @@ use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{StampedPose, Vector3};
 use lsfb_perception::statistics::median;
 
-use crate::table::rows;
+use super::table::rows;
 
 /// Bytes of a descriptor: bits.
 const BYTES: usize = 48;
