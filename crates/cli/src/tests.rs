@@ -184,7 +184,7 @@ const MIXED_UNITS: [&str; 4] = ["april-grid", "checkerboard", "charuco", "datum"
 
 /// Whether an option's value is text: a name, a path, an address, one of a few words.
 fn takes_text(argument: &Arg, value: &str) -> bool {
-    const TEXTS: [&str; 28] = [
+    const TEXTS: [&str; 29] = [
         "ADDR",
         "CODE",
         "CSV",
@@ -204,6 +204,7 @@ fn takes_text(argument: &Arg, value: &str) -> bool {
         "PDF",
         "PIN",
         "RRD",
+        "SURVEY",
         "SVG",
         "TOML",
         "TOPIC",

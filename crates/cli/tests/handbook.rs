@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::process::lsfb;
 use crate::running::Running;
-use crate::simulated_session::{Ports, recorded, text};
+use crate::simulated_session::{Ports, one_rig_at_a_time, recorded, text};
 use nix::sys::signal::Signal;
 
 /// Commands of `lsfb` in the handbook, as words.
@@ -25,6 +25,7 @@ fn commands() -> Vec<Vec<String>> {
 fn every_command_of_the_first_day_works() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
+    let _alone = one_rig_at_a_time();
     let source = recorded(4).join("scan.mcap");
     let ports = Ports::free().arguments();
     let arguments = ["mock", text(&source), "--out", "mock"].map(str::to_owned);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::process::lsfb;
 use crate::running::{Running, wait_until};
-use crate::simulated_session::{Ports, recorded, scan, settings, text};
+use crate::simulated_session::{Ports, one_rig_at_a_time, recorded, scan, settings, text};
 use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuResponse, ImuSegment};
 use lsfb_recording::{LIDAR_POSITION, Recording, TF};
 use nix::sys::signal::Signal;
@@ -84,6 +84,7 @@ fn content(path: &Path) -> Vec<String> {
 
 #[test]
 fn a_mock_of_a_recording_gives_the_same_recording() {
+    let _alone = one_rig_at_a_time();
     let recorded = recorded(5);
     for (source, rate) in [("scan.mcap", "1"), ("walk.mcap", "2")] {
         let folder = tempfile::tempdir().expect("folder");
@@ -138,6 +139,7 @@ fn a_mock_of_a_recording_gives_the_same_recording() {
 /// What another program's viewer needs: where the rig was, at the very stamps of the clouds, below the frames of the sensors.
 #[test]
 fn a_recording_with_odometry_shows_a_moving_rig() {
+    let _alone = one_rig_at_a_time();
     let source = recorded(5).join("scan.mcap");
     let folder = tempfile::tempdir().expect("folder");
     let ports = Ports::free().arguments();
@@ -169,6 +171,7 @@ fn a_recording_with_odometry_shows_a_moving_rig() {
 
 #[test]
 fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
+    let _alone = one_rig_at_a_time();
     let test = "a_mock_of_a_capture_file_gives_every_packet_at_its_rate";
     let Some(data) = data(test) else {
         return;
@@ -234,6 +237,7 @@ fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
 
 #[test]
 fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
+    let _alone = one_rig_at_a_time();
     let folder = tempfile::tempdir().expect("folder");
     std::fs::write(folder.path().join("tiny.toml"), settings(3)).expect("settings");
     let arguments = [
@@ -281,6 +285,7 @@ fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
 
 #[test]
 fn a_mock_of_a_microstrain_unit_sends_its_stream_again() {
+    let _alone = one_rig_at_a_time();
     let folder = tempfile::tempdir().expect("folder");
     std::fs::write(folder.path().join("tiny.toml"), settings(2)).expect("settings");
     let arguments =

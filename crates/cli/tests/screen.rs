@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::chromium::Tab;
 use crate::running::Running;
-use crate::simulated_session::{Ports, recorded, text};
+use crate::simulated_session::{Ports, one_rig_at_a_time, recorded, text};
 use lsfb_recording::message::decode_remark;
 use lsfb_recording::{REMARKS, Recording};
 use lsfb_tests::{Lacks, skip};
@@ -51,6 +51,7 @@ fn an_operator_starts_watches_marks_and_stops() {
     drop(probe);
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
+    let _alone = one_rig_at_a_time();
     let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
     let arguments = ["mock", text(&source), "--out", "mock", "--speed", "0.5"];

@@ -1,20 +1,17 @@
 //! The operator's screen in a browser when something is wrong: a rig without power, a screen that goes dark.
 
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::MutexGuard;
 use std::time::Duration;
 
 use crate::chromium::Tab;
 use crate::running::Running;
-use crate::simulated_session::{Ports, recorded, text};
+use crate::simulated_session::{Ports, one_rig_at_a_time, recorded, text};
 use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
 use serde_json::json;
 
 const TAP: Duration = Duration::from_millis(30);
-
-/// Several rigs, recorders and browsers at once are too much for two cores.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A mock rig, and a recorder in front of it whose page a browser shows.
 struct Session {
@@ -31,7 +28,7 @@ fn start(test: &'static str, root: &Path) -> Option<Session> {
         return None;
     };
     drop(probe);
-    let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let alone = one_rig_at_a_time();
     let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
     let arguments = ["mock", text(&source), "--out", "mock", "--speed", "0.5"];

@@ -1,9 +1,10 @@
 //! A short simulated session, recorded from `lsfb sim` in another process.
 
+use std::collections::BTreeMap;
 use std::net::{TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 
@@ -67,31 +68,44 @@ pub fn settings(scan_secs: u32) -> String {
     TINY.replace("SECS", &format!("{scan_secs}.0"))
 }
 
-/// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
-pub fn recorded(scan_secs: u32) -> &'static Path {
-    static RECORDED: OnceLock<PathBuf> = OnceLock::new();
-    RECORDED.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(env!("CARGO_CRATE_NAME"));
-        let _ = std::fs::remove_dir_all(&folder);
-        std::fs::create_dir_all(&folder).expect("folder");
-        std::fs::write(folder.join("tiny.toml"), settings(scan_secs)).expect("settings");
-        let ports = Ports::free().arguments();
-        let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
-        let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
-        let mut sim = Running::lsfb(&folder, arguments);
-        sim.wait_for("backpack-devices.toml");
-        // The units' own IMUs are asked too.
-        let listed = std::fs::read_to_string(folder.join("sim/backpack-devices.toml"));
-        let listed = listed
-            .expect("devices")
-            .replace("\"cam1\"]", "\"cam1\"]\nimu = \"imu1\"")
-            .replace("\"cam3\"]", "\"cam3\"]\nimu = \"imu2\"");
-        std::fs::write(folder.join("sim/all-devices.toml"), listed).expect("devices");
-        let report = scan(&folder, "sim/all-devices.toml", "scan.mcap");
-        assert_eq!(report["groups"]["complete"], 10 * scan_secs, "{report}");
-        sim.wait_for("glasses-devices.toml");
-        scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
-        assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
-        folder
-    })
+/// For whoever plays a rig: several rigs, recorders and browsers at once are too much for two cores.
+pub fn one_rig_at_a_time() -> MutexGuard<'static, ()> {
+    static PLAYED: Mutex<()> = Mutex::new(());
+    PLAYED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A simulated scan of so many seconds and a walk, recorded from `lsfb sim` in another process: made once for all tests.
+pub fn recorded(scan_secs: u32) -> PathBuf {
+    static RECORDED: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
+    let mut recorded = RECORDED.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = recorded
+        .entry(scan_secs)
+        .or_insert_with(|| record(scan_secs));
+    folder.clone()
+}
+
+fn record(scan_secs: u32) -> PathBuf {
+    let name = format!("{}_{scan_secs}", env!("CARGO_CRATE_NAME"));
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("folder");
+    std::fs::write(folder.join("tiny.toml"), settings(scan_secs)).expect("settings");
+    let ports = Ports::free().arguments();
+    let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
+    let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
+    let mut sim = Running::lsfb(&folder, arguments);
+    sim.wait_for("backpack-devices.toml");
+    // The units' own IMUs are asked too.
+    let listed = std::fs::read_to_string(folder.join("sim/backpack-devices.toml"));
+    let listed = listed
+        .expect("devices")
+        .replace("\"cam1\"]", "\"cam1\"]\nimu = \"imu1\"")
+        .replace("\"cam3\"]", "\"cam3\"]\nimu = \"imu2\"");
+    std::fs::write(folder.join("sim/all-devices.toml"), listed).expect("devices");
+    let report = scan(&folder, "sim/all-devices.toml", "scan.mcap");
+    assert_eq!(report["groups"]["complete"], 10 * scan_secs, "{report}");
+    sim.wait_for("glasses-devices.toml");
+    scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
+    assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
+    folder
 }
