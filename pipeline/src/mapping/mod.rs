@@ -241,6 +241,9 @@ const USUAL_GAP_S: f64 = 1.0;
 /// Scans may be rarer where they always are.
 const USUAL_PERIODS: f64 = 5.0;
 
+/// When a time without a scan began, and how long it was, seconds.
+type Gap = (f64, f64);
+
 /// How well all scans agree with one another at the poses of the finished map (`None` without a LiDAR), and when after the first
 /// the longest time without a scan began and how long that is, seconds, where it is long.
 fn look_at_scans(
@@ -249,7 +252,7 @@ fn look_at_scans(
     world_from_rig: &Trajectory,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<(Option<Agreement>, Option<(f64, f64)>), Error> {
+) -> Result<(Option<Agreement>, Option<Gap>), Error> {
     let surface = SurfaceConfig {
         min_range_m: config.odometry.min_range_m,
         ..SurfaceConfig::default()

@@ -163,7 +163,7 @@ pub fn build_map_from_posed_images(
         let name = path.and_then(|path| path.file_name()).unwrap_or_default();
         name.to_string_lossy().into_owned()
     };
-    let strangers = strangers(&mapped, &name_of)?;
+    let strangers = strangers(&mapped, name_of)?;
     let far = moved_far.first().map(|first| {
         format!(
             "{} poses are farther from where the list has them than it is thought to be off (refine_poses), that of {} the first",
