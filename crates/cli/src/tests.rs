@@ -224,7 +224,7 @@ fn takes_text(argument: &Arg, value: &str) -> bool {
 /// A quantity has its unit at the end of the option's name, the same everywhere, however many numbers it is of.
 #[test]
 fn units_end_the_names_of_options() {
-    const UNITS: [&str; 5] = ["secs", "hz", "mb", "m", "percent"];
+    const UNITS: [&str; 6] = ["secs", "hz", "mb", "m", "px", "percent"];
     let mut quantities = 0;
     for (name, command) in commands() {
         for (argument, option, value) in options(&command) {
