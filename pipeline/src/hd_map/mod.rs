@@ -266,6 +266,11 @@ impl HdMap {
         })
     }
 
+    /// All keyframes, in the order of their numbers.
+    pub fn keyframes(&self) -> impl Iterator<Item = StampedPose> + '_ {
+        (0..self.keyframe_count() as u32).filter_map(|k| self.keyframe(k))
+    }
+
     /// The observations of a point; none where there is no such point.
     pub fn observations(&self, point: u32) -> impl Iterator<Item = MapObservation> + '_ {
         let total = self.observation_count();

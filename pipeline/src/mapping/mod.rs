@@ -138,7 +138,7 @@ pub fn build_map_in_stages(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
-    let (optimised, report) = stages.once("adjusted", || {
+    let (optimised, mut report) = stages.once("adjusted", || {
         if let Some(lidar) = rig.lidar() {
             add_lidar_features(
                 recording,
@@ -166,13 +166,8 @@ pub fn build_map_in_stages(
             with(&rig, "rounds", &trajectory, &mut keyframes, &mut report)?;
         let refined = shown.refined(&rig).filter(|_| config.refine_cameras);
         if let Some(refined) = refined {
-            let taken = |error: &CameraError| error.is_refinable();
-            report.refined = report
-                .cameras
-                .iter()
-                .filter(|e| taken(e))
-                .cloned()
-                .collect();
+            let taken = report.cameras.iter().filter(|error| error.is_refinable());
+            report.refined = taken.cloned().collect();
             report
                 .warnings
                 .retain(|warning| !warning.is_of_adjustment());
@@ -205,7 +200,6 @@ pub fn build_map_in_stages(
         let camera = rig.cameras.get(&error.camera).cloned();
         stated.extend(camera.map(|camera| (error.camera.clone(), camera)));
     }
-    let mut report = report;
     let trajectory_before = trajectory;
     let trajectory = correct_trajectory(&trajectory_before, &before, &poses);
     let (agreement, gap) = stages.once("surface", || {

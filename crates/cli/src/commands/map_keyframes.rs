@@ -75,8 +75,7 @@ fn known(map: &HdMap) -> Vec<(StampedPose, Matrix6<f64>)> {
 /// Writes the poses into a folder, and their covariances where there are any; says what is not in these.
 pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outcome> {
     let all = map.keyframe_count();
-    let keyframes = (0..all as u32).filter_map(|k| map.keyframe(k));
-    let trajectory = Trajectory::new(keyframes.collect());
+    let trajectory = Trajectory::new(map.keyframes().collect());
     let known = known(map);
     let mut notes = Vec::new();
     if trajectory.len() < all {

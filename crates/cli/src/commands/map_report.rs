@@ -130,9 +130,7 @@ struct Coverage {
 
 impl Coverage {
     fn of(map: &HdMap) -> Self {
-        let keyframes: Vec<StampedPose> = (0..map.keyframe_count() as u32)
-            .filter_map(|i| map.keyframe(i))
-            .collect();
+        let keyframes: Vec<StampedPose> = map.keyframes().collect();
         let mut observations = vec![0; keyframes.len()];
         let mut track_lengths = vec![0; map.point_count()];
         for (point, length) in track_lengths.iter_mut().enumerate() {

@@ -85,8 +85,7 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
         None => (Vec::new(), Vec::new()),
     };
     let judgement = Judgement::new(agreement);
-    let keyframes = (0..map.keyframe_count() as u32).filter_map(|k| map.keyframe(k));
-    let keyframes = Trajectory::new(keyframes.collect());
+    let keyframes = Trajectory::new(map.keyframes().collect());
     let cameras = pyramids(&map);
     let images: usize = cameras.iter().map(|camera| camera.strips_m.len()).sum();
     let inputs = ViewInputs {
@@ -157,9 +156,8 @@ fn colors(map: &HdMap) -> Vec<[u8; 3]> {
 fn pyramids(map: &HdMap) -> Vec<CameraPyramids> {
     let all = (0..map.point_count() as u32).flat_map(|p| map.observations(p));
     let images: BTreeSet<(u16, u32)> = all.map(|o| (o.camera, o.keyframe)).collect();
-    let places: Vec<Vector3<f64>> = (0..map.keyframe_count() as u32)
-        .filter_map(|k| Some(map.keyframe(k)?.world_from_rig.translation))
-        .collect();
+    let places = map.keyframes().map(|k| k.world_from_rig.translation);
+    let places: Vec<Vector3<f64>> = places.collect();
     let steps = places.windows(2).map(|pair| (pair[1] - pair[0]).norm());
     let moved = steps.filter(|step| *step > 0.0).collect();
     let length = PYRAMID_STEPS * median(moved).unwrap_or(1.0);

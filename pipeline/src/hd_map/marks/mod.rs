@@ -203,10 +203,7 @@ impl HdMap {
 
     /// Times of the keyframes with their numbers, in order of time.
     fn keyframe_times(&self) -> Vec<(Timestamp, u32)> {
-        let all = 0..self.keyframe_count() as u32;
-        let mut times: Vec<_> = all
-            .filter_map(|k| Some((self.keyframe(k)?.time, k)))
-            .collect();
+        let mut times: Vec<_> = self.keyframes().map(|k| k.time).zip(0..).collect();
         times.sort_unstable();
         times
     }

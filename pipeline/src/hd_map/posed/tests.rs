@@ -224,10 +224,8 @@ fn poses_that_are_a_little_off_become_as_the_images_show_them() {
     let truth = places(&right);
     let [before_m, _] = apart_m(&places(&off), &truth);
     let map = build_map_from_posed_images(&off, &config(true), &no_progress).expect("a map");
-    let keyframes = 0..map.keyframe_count() as u32;
-    let found: Vec<Vector3<f64>> = keyframes
-        .filter_map(|k| Some(map.keyframe(k)?.world_from_rig.translation))
-        .collect();
+    let found = map.keyframes().map(|k| k.world_from_rig.translation);
+    let found: Vec<Vector3<f64>> = found.collect();
     let [after_m, _] = apart_m(&found, &truth);
     assert!(
         before_m > 0.015 && after_m < 0.006,
