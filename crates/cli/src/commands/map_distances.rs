@@ -23,6 +23,9 @@ const LARGEST_M: f64 = 0.05;
 const CHANCE_SIGMAS: f64 = 4.0;
 /// A distance that clicks and tape do not tell better than this judges no map, metres, 1 σ.
 const JUDGING_SIGMA_M: f64 = 0.5 * LARGEST_M;
+/// A trajectory that a map was written with passes through its keyframes, but for the digits of files: metres and degrees.
+const SAME_M: f64 = 0.005;
+const SAME_DEG: f64 = 0.1;
 /// Lines that a reader still reads; `--json` has all.
 const MOST_LINES: usize = 60;
 
@@ -50,7 +53,7 @@ pub struct DistancesArguments {
     /// Measured distances between them.
     #[arg(long, value_name = "SURVEY")]
     survey: Option<PathBuf>,
-    /// The trajectory that `lsfb map --out-trajectory` wrote with the map: poses of images between keyframes.
+    /// The trajectory that `lsfb map --out-trajectory` wrote with the map: poses of images between keyframes. Another is refused.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
     /// How well was clicked, pixels in each direction, 1 σ; where the clicks scatter more, that is taken.
@@ -350,7 +353,12 @@ pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::R
         context.claim(out, &read)?;
     }
     let map = super::open_map(&arguments.map)?;
-    let trajectory = arguments.trajectory.as_deref().map(read_tum).transpose()?;
+    let trajectory = arguments.trajectory.as_deref().map(|path| {
+        let trajectory = read_tum(path)?;
+        check_passes_through(map.keyframes(), &trajectory, path)?;
+        anyhow::Ok(trajectory)
+    });
+    let trajectory = trajectory.transpose()?;
     let found = MarkedDistances::of(
         &map,
         trajectory.as_ref(),
@@ -387,9 +395,40 @@ pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::R
     Ok(Outcome::of(judgement.verdict()))
 }
 
+/// Refuses a trajectory that is not the map's: its own distances would be judged, and a bent map would pass.
+fn check_passes_through(
+    keyframes: impl Iterator<Item = StampedPose>,
+    trajectory: &Trajectory,
+    path: &Path,
+) -> anyhow::Result<()> {
+    let moves: Vec<[f64; 2]> = keyframes
+        .filter_map(|keyframe| {
+            let moved = keyframe.world_from_rig.inverse() * trajectory.at(keyframe.time)?;
+            Some([
+                moved.translation.norm(),
+                moved.rotation.angle().to_degrees(),
+            ])
+        })
+        .collect();
+    const WANTED: &str = "give the trajectory that `lsfb map --out-trajectory` wrote with the map";
+    anyhow::ensure!(
+        !moves.is_empty(),
+        "{}: no keyframe of the map lies within this trajectory: {WANTED}",
+        path.display()
+    );
+    let [far_m, far_deg] = moves.iter().fold([0.0; 2], |most, moved| {
+        [0, 1].map(|i| f64::max(most[i], moved[i]))
+    });
+    anyhow::ensure!(
+        far_m <= SAME_M && far_deg <= SAME_DEG,
+        "{}: is not the trajectory of this map: at its keyframes it is up to {:.1} cm and {far_deg:.2}° elsewhere; {WANTED}",
+        path.display(),
+        100.0 * far_m
+    );
+    Ok(())
+}
+
 fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement) -> Report {
-    let keyframes = 0..map.keyframe_count() as u32;
-    let keyframes: Vec<StampedPose> = keyframes.filter_map(|k| map.keyframe(k)).collect();
     Report {
         title: format!("Distances in {name}"),
         figures: found.figures(),
@@ -397,7 +436,7 @@ fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement)
         tracks: vec![Track {
             name: "scanner".to_owned(),
             series: None,
-            estimate: Trajectory::new(keyframes),
+            estimate: Trajectory::new(map.keyframes().collect()),
             truth: None,
             errors: Vec::new(),
         }],
@@ -407,5 +446,41 @@ fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement)
             value: found.text(),
         }],
         ..Report::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{Se3, UnitQuaternion};
+    use lsfb_types::Timestamp;
+
+    use super::*;
+
+    /// The true trajectory of a map that was bent by decimetres: FAIL became WARN, exit code 0.
+    #[test]
+    fn a_trajectory_that_is_not_the_maps_is_refused() {
+        let along = |stretch: f64, secs: std::ops::Range<i64>| -> Vec<StampedPose> {
+            secs.map(|secs| StampedPose {
+                time: Timestamp::from_nanos(secs * 1_000_000_000),
+                world_from_rig: Se3::new(
+                    UnitQuaternion::identity(),
+                    Vector3::new(stretch * secs as f64, 0.0, 0.0),
+                ),
+            })
+            .collect()
+        };
+        let keyframes: Vec<_> = along(1.0, 0..9).into_iter().step_by(3).collect();
+        let said = |trajectory| {
+            let trajectory = Trajectory::new(trajectory);
+            check_passes_through(keyframes.iter().copied(), &trajectory, Path::new("t.tum"))
+                .err()
+                .map(|error| error.to_string())
+        };
+        assert_eq!(said(along(1.0, 0..9)), None);
+        assert_eq!(said(along(1.0, 0..5)), None, "it need not reach all");
+        let other = said(along(1.01, 0..9)).expect("refused");
+        assert!(other.contains("up to 6.0 cm and 0.00°"), "{other}");
+        let later = said(along(1.0, 20..30)).expect("refused");
+        assert!(later.contains("no keyframe"), "{later}");
     }
 }
