@@ -8,7 +8,7 @@ use nalgebra::{SVector, Vector1};
 use super::bend::{Bend, SIZE};
 use super::effort::{BoardSize, Effort};
 use super::inertial::{AccelAxes, GyroAxes};
-use super::state::State;
+use super::state::RigEstimate;
 use super::{AccelDelay, Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 
@@ -66,7 +66,7 @@ impl Blocks {
     }
 }
 
-impl State {
+impl RigEstimate {
     /// The unknowns at their present values, and what is known of them beforehand.
     pub fn add_blocks(
         &self,

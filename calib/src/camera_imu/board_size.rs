@@ -8,7 +8,7 @@ use super::bend::{BEND, SIZE};
 use super::blocks::{Blocks, SIZE_SIGMA};
 use super::effort::Effort;
 use super::parts::{Known, known};
-use super::state::State;
+use super::state::RigEstimate;
 use crate::Error;
 
 /// By how much all of a board is larger than said, as a share.
@@ -20,7 +20,7 @@ pub(super) struct BoardExcess {
     pub explains: f64,
 }
 
-impl State {
+impl RigEstimate {
     /// By how much all of the board is larger than said, as the accelerometer has it against gravity: a wrong scale of the
     /// accelerometer is none of the board.
     pub fn board_excess(&self, config: &CameraImuConfig) -> Result<BoardExcess, Error> {

@@ -4,7 +4,7 @@ use lsfb_report::{rounded, with_unit};
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 
 use super::board_size::BoardExcess;
-use super::state::State;
+use super::state::RigEstimate;
 use super::{CameraImuCalibration, CameraOnImu, ORDER, SplitEstimate, checks};
 use crate::board::Target;
 use crate::findings;
@@ -171,7 +171,7 @@ pub(super) fn shown_in(name: &str) -> (f64, &'static str) {
     }
 }
 
-impl State {
+impl RigEstimate {
     /// What is said of motion, IMU and board: `ratios` of the residuals of gyroscope and accelerometer to their stated noise, and the
     /// jitter of the IMU's stamps, seconds.
     pub(super) fn motion_findings(

@@ -396,7 +396,7 @@ pub fn calibrate_camera_imu(
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));
     let sorted: Vec<KnownCamera> = order.iter().map(|k| cameras[*k].clone()).collect();
-    let mut state = state::State::new(&input::Input {
+    let mut state = state::RigEstimate::new(&input::Input {
         target,
         cameras: &sorted,
         imu,

@@ -2,7 +2,7 @@
 
 use lsfb_geometry::Vector2;
 
-use super::state::{State, View};
+use super::state::{RigEstimate, View};
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
 use crate::{Error, JoinProblem};
@@ -18,7 +18,7 @@ const LEAST_SIGMA_PX: f64 = 0.01;
 /// Median length of a two-dimensional normal error of standard deviation 1.
 const MEDIAN_LENGTH: f64 = 1.1774;
 
-impl State {
+impl RigEstimate {
     /// Error of each corner of a view, pixels; `None` where it is not seen.
     pub fn errors_px(&self, view: &View) -> Vec<Option<Vector2<f64>>> {
         let camera = &self.cameras[view.camera];

@@ -8,7 +8,7 @@ use super::blocks::Blocks;
 use super::corner_residual::CornerResidual;
 use super::effort::{BoardSize, Effort};
 use super::inertial::{Accelerometer, BiasWalk, GravityNorm, Gyro};
-use super::state::{State, View};
+use super::state::{RigEstimate, View};
 use super::view_residual::ViewResidual;
 use super::{CameraImuConfig, ORDER, Readout};
 use crate::Error;
@@ -22,7 +22,7 @@ const SATURATED_SIGMA: f64 = 0.5;
 /// Standard deviation of an accelerometer's scale, as data sheets have it.
 const ACCELEROMETER_SCALE_SIGMA: f64 = 0.03;
 
-impl State {
+impl RigEstimate {
     /// The problem at the present values.
     pub fn problem(
         &self,

@@ -7,7 +7,7 @@ use super::bend::{BEND, Bend, bends};
 use super::board_size::BoardExcess;
 use super::effort::Moved;
 use super::inertial::{accel_matrix, gyro_matrix};
-use super::state::{Mounted, State, View};
+use super::state::{Mounted, RigEstimate, View};
 use super::uncertainty::Uncertainty;
 use super::{
     Axes, BoardShape, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER,
@@ -38,7 +38,7 @@ struct Inertial {
     jitter_s: f64,
 }
 
-impl State {
+impl RigEstimate {
     /// Errors of views that the last adjustment did not see.
     pub fn holdout_rms_px(&self) -> Vec<Option<f64>> {
         (0..self.cameras.len())

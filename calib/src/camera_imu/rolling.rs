@@ -7,7 +7,7 @@ use super::gyro_alignment::GyroAlignment;
 use super::input::Input;
 use super::posed_views::look;
 use super::samples::samples_of;
-use super::state::{Sample, State};
+use super::state::{RigEstimate, Sample};
 use super::{KnownCamera, Readout};
 use crate::{Error, JoinProblem};
 
@@ -17,7 +17,7 @@ const STEP_S: f64 = 0.005;
 /// Share of the turning that must agree with one of them: clocks that drift or jump agree a little more with any.
 const LEAST_AGREEMENT: f64 = 0.85;
 
-impl State {
+impl RigEstimate {
     /// With the readout times that are known. Where views and gyroscope contradict each other with these, others are tried: to start from,
     /// if they are to be searched, else to name the cause.
     pub fn new(input: &Input) -> Result<Self, Error> {

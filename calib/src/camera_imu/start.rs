@@ -15,7 +15,7 @@ use super::samples::{
     MARGIN_S, check_rotation, crop, end_within_a_segment, excitation, interval_s, samples_of,
     saturation,
 };
-use super::state::{Mounted, State, View};
+use super::state::{Mounted, RigEstimate, View};
 use super::{Clock, KnownCamera, Motion, ORDER, checks};
 use crate::camera::copied;
 use crate::coverage::corners_by_cell;
@@ -25,7 +25,7 @@ use crate::{Error, JoinProblem, PoorMotion};
 /// Samples of the IMU needed.
 const MIN_SAMPLES: usize = 200;
 
-impl State {
+impl RigEstimate {
     /// With the readout times of the cameras as they are known, or others, seconds.
     pub fn with_readouts(input: &Input, readouts_s: &[f64]) -> Result<Self, Error> {
         let Input {

@@ -57,7 +57,7 @@ impl Mounted {
 }
 
 /// Everything that is estimated, and what it is estimated from.
-pub(super) struct State {
+pub(super) struct RigEstimate {
     pub motion: Motion,
     pub cameras: Vec<Mounted>,
     /// Control points of the biases, and how far apart they are, seconds.

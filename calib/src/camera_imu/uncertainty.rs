@@ -11,7 +11,7 @@ use super::blocks::Blocks;
 use super::effort::{Effort, Moved};
 use super::halves::{SplitEstimate, halves};
 use super::parts::known;
-use super::state::{Mounted, State};
+use super::state::{Mounted, RigEstimate};
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
 use crate::Error;
 use crate::residual_diagnosis::FREED;
@@ -56,7 +56,7 @@ pub(super) struct Uncertainty {
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-impl State {
+impl RigEstimate {
     /// Which of the biases' control points lies in the middle of the recording.
     pub fn middle_bias(&self) -> usize {
         self.gyro_bias.len() / 2

@@ -17,7 +17,7 @@ const WHITE_SHARE: f64 = 0.5;
 
 /// What a camera saw.
 #[derive(Default)]
-struct Seen {
+struct CameraCounts {
     images: usize,
     black: usize,
     white: usize,
@@ -28,7 +28,7 @@ struct Seen {
     arrivals: Order,
 }
 
-impl Seen {
+impl CameraCounts {
     fn note(&mut self, time: Timestamp, image: &Image) {
         self.images += 1;
         self.stamps.note(time);
@@ -48,7 +48,7 @@ impl Findings {
     ) -> Result<(), lsfb_recording::Error> {
         let topics = recording.topics().iter();
         for topic in topics.filter(|topic| topic.schema == message::IMAGE.name) {
-            let mut seen = Seen::default();
+            let mut seen = CameraCounts::default();
             for (n, recorded) in recording.messages(&topic.topic)?.enumerate() {
                 // What is damaged is said elsewhere.
                 let is_enough = config.read == Depth::Indexes && (n >= IMAGES || recorded.is_err());
@@ -73,7 +73,7 @@ impl Findings {
         Ok(())
     }
 
-    fn seen_by(&mut self, topic: &str, seen: &Seen) {
+    fn seen_by(&mut self, topic: &str, seen: &CameraCounts) {
         let looked_at = seen.images + seen.unreadable;
         let of = format!("in {looked_at} images that were looked at");
         let mut problem = |verdict, found: String, remedy: &str| {

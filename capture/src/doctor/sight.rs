@@ -16,14 +16,14 @@ const SCANS: usize = 120;
 
 /// What one LiDAR saw.
 #[derive(Default)]
-struct Seen {
+struct LidarCounts {
     sight: Sight,
     scans: usize,
     returns: usize,
     arrivals: Order,
 }
 
-impl Seen {
+impl LidarCounts {
     fn note(&mut self, scan: &LidarScan, lasers: Option<usize>, azimuths: &Azimuths) {
         self.sight.note(scan, lasers, azimuths);
         self.scans += 1;
@@ -71,8 +71,8 @@ impl Findings {
         Ok(())
     }
 
-    fn seen(&mut self, name: &str, seen: &Seen) {
-        let Seen { sight, scans, .. } = seen;
+    fn seen(&mut self, name: &str, seen: &LidarCounts) {
+        let LidarCounts { sight, scans, .. } = seen;
         let subject = format!("device {name}");
         let of = format!("in {scans} scans that were looked at");
         if let Some(back) = seen.arrivals.back() {
@@ -131,8 +131,8 @@ impl Findings {
     }
 }
 
-fn by_packets(recording: &Recording, name: &str, most: usize) -> Result<Seen, Error> {
-    let mut seen = Seen::default();
+fn by_packets(recording: &Recording, name: &str, most: usize) -> Result<LidarCounts, Error> {
+    let mut seen = LidarCounts::default();
     let Ok(packets) = recording.packets(&format!("{name}/packets")) else {
         return Ok(seen);
     };
@@ -158,8 +158,8 @@ fn by_packets(recording: &Recording, name: &str, most: usize) -> Result<Seen, Er
     Ok(seen.finish())
 }
 
-fn by_clouds(recording: &Recording, name: &str, most: usize) -> Result<Seen, Error> {
-    let mut seen = Seen::default();
+fn by_clouds(recording: &Recording, name: &str, most: usize) -> Result<LidarCounts, Error> {
+    let mut seen = LidarCounts::default();
     let model = DeviceNote::read(recording, name).and_then(|note| note.model());
     let lasers = model
         .and_then(|model| Model::from_key(&model))

@@ -122,10 +122,10 @@ fn main() -> Result<(), Failure> {
 }
 
 /// A facet, where on it, the point and its normal, metres.
-type Seen = (usize, [f32; 2], [f32; 3], [f32; 3]);
+type RayHit = (usize, [f32; 2], [f32; 3], [f32; 3]);
 
 /// Points spread over images of the walk, on opaque surfaces that are lit.
-fn points_in_sight(simulation: &Simulation, count: u32) -> Result<Vec<Seen>, Failure> {
+fn points_in_sight(simulation: &Simulation, count: u32) -> Result<Vec<RayHit>, Failure> {
     let (scan, world) = (simulation.scan(), simulation.world());
     let cameras: Vec<_> = scan.rig().cameras.values().collect();
     let mut found = Vec::new();

@@ -45,7 +45,7 @@ pub(super) struct Found {
 }
 
 /// A query with what the map says of it.
-struct Seen<'a> {
+struct MatchedQuery<'a> {
     query: &'a Query<'a>,
     /// Points that each feature of each frame may show.
     candidates: &'a [Vec<Candidates>],
@@ -131,7 +131,7 @@ impl Localizer {
             grids: &grids,
             cameras: &cameras,
         };
-        let seen = Seen {
+        let seen = MatchedQuery {
             query: &query,
             candidates: &candidates,
             votes: &votes,
@@ -156,7 +156,7 @@ impl Localizer {
     /// The pose that most speaks for among places of so many images each, and how many places have been tried, those of before included.
     fn best_at(
         &self,
-        seen: &Seen,
+        seen: &MatchedQuery,
         place_images: usize,
         tried_before: usize,
     ) -> Option<(Localization, usize)> {

@@ -4,7 +4,7 @@ use crate::hd_map::{HdMap, MapNeighbour};
 
 /// A map image: one camera of one keyframe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Place {
+pub(crate) struct MapView {
     pub keyframe: u32,
     pub camera: u16,
 }
@@ -23,9 +23,9 @@ pub(crate) type Candidates = Vec<MapNeighbour>;
 
 impl Places {
     pub fn new(map: &HdMap) -> Self {
-        let mut all: Vec<Place> = (0..map.point_count() as u32)
+        let mut all: Vec<MapView> = (0..map.point_count() as u32)
             .flat_map(|point| map.observations(point))
-            .map(|o| Place {
+            .map(|o| MapView {
                 keyframe: o.keyframe,
                 camera: o.camera,
             })
@@ -38,7 +38,7 @@ impl Places {
             let mut images: Vec<u32> = map
                 .observations(point)
                 .filter_map(|o| {
-                    let place = Place {
+                    let place = MapView {
                         keyframe: o.keyframe,
                         camera: o.camera,
                     };

@@ -38,7 +38,7 @@ const POINTS: usize = 600;
 
 /// What a registered scan sees.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct ScanInformation {
     /// The motion that it sees least, where it does not see all.
     pub unseen: Option<Unseen>,
     /// Information on the pose that it adds to the scans before it, with which it shares the faults of the surfaces they all see.
@@ -48,10 +48,10 @@ pub(super) struct Seen {
 impl Odometry {
     /// What a registered scan sees. The pose is left as it was found: what holds it in directions that no plane tells of is little, and may
     /// be right.
-    pub(super) fn see(&self, reduced: &ReducedScan, found: &Registration) -> Seen {
+    pub(super) fn see(&self, reduced: &ReducedScan, found: &Registration) -> ScanInformation {
         if self.stands() {
             // Rings lie on rings because nothing moves: what holds the scan holds it where it is.
-            return Seen {
+            return ScanInformation {
                 unseen: None,
                 lasting: found.information / self.config.correlated_scans,
             };
@@ -64,14 +64,14 @@ impl Odometry {
             self.map.find_all(points, &sensor_in_rig, pose, gate_m)
         });
         let Some(seen) = seen else {
-            return Seen::default();
+            return ScanInformation::default();
         };
         let again = if self.unseen { SEEN_AGAIN } else { 1.0 };
         let least_per_m2 = again * LEAST_SEEN_PER_M2;
         let is_unseen = |d: &Direction| d.seen_per_m2() < least_per_m2;
         let unseen = seen.directions.iter().filter(|d| is_unseen(d));
         let worst = unseen.min_by(|a, b| a.seen_per_m2().total_cmp(&b.seen_per_m2()));
-        Seen {
+        ScanInformation {
             unseen: worst.map(|d| Unseen::of(d, &found.world_from_rig)),
             lasting: seen.information_of(|d| !is_unseen(d)) / self.config.correlated_scans,
         }

@@ -51,7 +51,7 @@ pub use unseen::UnseenStretch;
 pub use warning::OdometryWarning;
 
 use crate::Error;
-use degeneracy::Seen;
+use degeneracy::ScanInformation;
 use first_second::FirstSecond;
 use free_space::FreeSpace;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
@@ -280,7 +280,7 @@ impl Odometry {
             None => without(&self.prior(&path), &found),
         };
         let predicted = self.predicted_covariance();
-        let mut seen = Seen::default();
+        let mut seen = ScanInformation::default();
         if outcome == StepOutcome::Registered {
             seen = self.see(&reduced, &found);
             self.unseen = seen.unseen.is_some();

@@ -116,11 +116,11 @@ struct Piece {
     /// The piece's rotation backwards.
     turned: Matrix3<f64>,
     /// Where its forces are summed up.
-    places: [Place; 3],
+    places: [GaussPoint; 3],
 }
 
 /// One of Gauss' points on a piece.
-struct Place {
+struct GaussPoint {
     /// For how long its force counts, and from then on to the end of the piece, seconds.
     secs: f64,
     left_secs: f64,
@@ -363,7 +363,7 @@ impl PreintegratedImu {
             let velocity = rotation * force * (weight * dt);
             changes[0] += velocity;
             changes[1] += velocity * left_secs;
-            Place {
+            GaussPoint {
                 secs: weight * dt,
                 left_secs,
                 turn_by_rate: so3::right_jacobian(&angle) * after_secs,

@@ -98,7 +98,7 @@ impl Surface {
 
 /// A point of a scan, as all levels take it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct ScanPoint {
     pub point: Vector3<f64>,
     /// The same in the axes of the grid.
     pub in_grid: Vector3<f64>,
@@ -106,7 +106,7 @@ pub(super) struct Seen {
     pub towards_sensor: Vector3<f64>,
 }
 
-impl Seen {
+impl ScanPoint {
     /// A point of a scan taken from a sensor.
     pub fn from(sensor: &Vector3<f64>, point: Vector3<f64>, in_grid: Vector3<f64>) -> Self {
         Self {
@@ -164,7 +164,7 @@ impl Level {
     }
 
     /// Takes in the points of a scan that was taken from a place.
-    pub fn insert(&mut self, seen: &[Seen], place: u32, range_noise_m: f64) {
+    pub fn insert(&mut self, seen: &[ScanPoint], place: u32, range_noise_m: f64) {
         let mut before = (None, [NONE; 2]);
         for of in seen {
             let key = self.key(&of.in_grid);
@@ -303,11 +303,11 @@ pub(super) fn seen_from(
     world_from_rig: &Se3,
     sensor: &Vector3<f64>,
     grid_from_world: &lsfb_geometry::Matrix3<f64>,
-) -> Vec<Seen> {
+) -> Vec<ScanPoint> {
     let rotation = world_from_rig.rotation_matrix();
     let points = points_in_rig.iter().map(|p| {
         let point = rotation * p + world_from_rig.translation;
-        Seen::from(sensor, point, grid_from_world * point)
+        ScanPoint::from(sensor, point, grid_from_world * point)
     });
     points.collect()
 }
@@ -320,8 +320,8 @@ mod tests {
 
     use super::*;
 
-    fn seen(point: Vector3<f64>) -> Seen {
-        Seen {
+    fn seen(point: Vector3<f64>) -> ScanPoint {
+        ScanPoint {
             point,
             in_grid: point,
             towards_sensor: Vector3::z(),

@@ -24,14 +24,14 @@ const WAITING: i64 = -1;
 /// Simulated time: each device announces how far it is, and waits for the others.
 #[derive(Debug)]
 pub(crate) struct SimClock {
-    state: Mutex<State>,
+    state: Mutex<ClockState>,
     moved: Condvar,
     skew_ns: i64,
     pace: Pace,
 }
 
 #[derive(Debug)]
-struct State {
+struct ClockState {
     offsets_ns: Vec<i64>,
     began: Option<Instant>,
     stopped: bool,
@@ -59,7 +59,7 @@ impl SimClock {
     /// For `devices` devices, none more than `skew_ns` ahead of another.
     pub(crate) fn new(devices: usize, skew_ns: i64, pace: Pace) -> Self {
         Self {
-            state: Mutex::new(State {
+            state: Mutex::new(ClockState {
                 offsets_ns: vec![WAITING; devices],
                 began: None,
                 stopped: false,
@@ -86,14 +86,14 @@ impl SimClock {
         }
     }
 
-    fn announce(&self, state: &mut State, device: usize, offset_ns: i64) {
+    fn announce(&self, state: &mut ClockState, device: usize, offset_ns: i64) {
         if state.offsets_ns[device] < offset_ns {
             state.offsets_ns[device] = offset_ns;
             self.moved.notify_all();
         }
     }
 
-    fn readiness(&self, state: &mut State, offset_ns: i64) -> Readiness {
+    fn readiness(&self, state: &mut ClockState, offset_ns: i64) -> Readiness {
         if state.stopped {
             return Readiness::Stopped;
         }
@@ -148,12 +148,12 @@ impl SimClock {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, ClockState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
+impl ClockState {
     fn slowest(&self) -> i64 {
         self.offsets_ns.iter().copied().min().unwrap_or(FINISHED)
     }

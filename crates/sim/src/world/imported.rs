@@ -28,7 +28,7 @@ const ALBEDO: [f32; 2] = [0.02, 0.95];
 const LOOKS: usize = 6;
 
 /// What is seen of a triangle.
-struct Seen {
+struct FacetMaterial {
     picture: usize,
     gain: f32,
     reflectance: f32,
@@ -75,7 +75,7 @@ impl World {
             .iter()
             .map(|p| p.values.iter().sum::<f32>() / p.values.len() as f32)
             .collect();
-        let seen: Vec<Seen> = triangles
+        let seen: Vec<FacetMaterial> = triangles
             .iter()
             .map(|t| {
                 let finish = &scene.finishes[t.finish];
@@ -156,8 +156,8 @@ impl World {
 }
 
 /// Brightness is the square root of reflected light.
-fn as_painted(finish: &Finish, mean: f32) -> Seen {
-    Seen {
+fn as_painted(finish: &Finish, mean: f32) -> FacetMaterial {
+    FacetMaterial {
         picture: finish.picture,
         gain: finish.factor.sqrt(),
         reflectance: mean.powi(2) * finish.factor,
@@ -166,7 +166,7 @@ fn as_painted(finish: &Finish, mean: f32) -> Seen {
 }
 
 /// What a triangle does to light, and which of its pictures one sees: that of what shines where it outshines the rest.
-fn in_light(finish: &Finish, triangle: &Triangle, pictures: &[Canvas]) -> Seen {
+fn in_light(finish: &Finish, triangle: &Triangle, pictures: &[Canvas]) -> FacetMaterial {
     let of = |picture: usize| mean(&pictures[picture], &triangle.places);
     let base = of(finish.picture);
     let [least, most] = ALBEDO;
@@ -184,7 +184,7 @@ fn in_light(finish: &Finish, triangle: &Triangle, pictures: &[Canvas]) -> Seen {
         true => (luminance_cd_m2 / OVERCAST_CD_M2 / MOST_LIGHT).clamp(least, most),
         false => reflectance,
     };
-    Seen {
+    FacetMaterial {
         picture: if outshines { shine } else { finish.picture },
         // The map holds the light under which the whole would be as bright as it shines.
         gain: match outshines {
@@ -223,7 +223,7 @@ fn mean(picture: &Canvas, places: &[[f32; 2]; 3]) -> f32 {
     sum / count
 }
 
-fn skin(facet: &Facet, triangle: &Triangle, seen: &Seen) -> Skin {
+fn skin(facet: &Facet, triangle: &Triangle, seen: &FacetMaterial) -> Skin {
     let [p, q, r] = triangle.places;
     let edges = [q, r].map(|end| [end[0] - p[0], end[1] - p[1]]);
     let lengths = [norm(facet.edge_a), norm(facet.edge_b)];

@@ -57,7 +57,7 @@ use lit::Lit;
 pub use lit::{LightReport, LitPlace, LitSurface};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub(crate) use room::furnish;
-pub(crate) use shade::Seen;
+pub(crate) use shade::RayHit;
 use skin::{Beyond, LightMaps, Skin};
 pub use substance::Substance;
 use vector::norm;

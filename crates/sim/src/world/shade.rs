@@ -22,14 +22,14 @@ const DIM: f32 = 60.0;
 
 /// What a ray met.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct RayHit {
     /// Brightness; 255 is white at the nominal exposure, more is brighter.
     pub value: f32,
     /// The nearest facet.
     pub facet: u32,
 }
 
-impl Default for Seen {
+impl Default for RayHit {
     fn default() -> Self {
         Self {
             value: 0.0,
@@ -41,7 +41,7 @@ impl Default for Seen {
 impl World {
     /// What eight rays of unit length meet; black where there is nothing. A ray is the axis of a cone of `angle_rad`,
     /// over which textures are averaged.
-    pub(crate) fn see(&self, rays: &RayPacket, angle_rad: f32, moment: &Moment) -> [Seen; LANES] {
+    pub(crate) fn see(&self, rays: &RayPacket, angle_rad: f32, moment: &Moment) -> [RayHit; LANES] {
         self.look(
             rays,
             f32x8::splat(FAR_M),
@@ -60,7 +60,7 @@ impl World {
         angle_rad: f32,
         moment: &Moment,
         panes: usize,
-    ) -> [Seen; LANES] {
+    ) -> [RayHit; LANES] {
         let hit = self.cast_at(rays, limit, moment);
         let distance = hit.distance.to_array();
         let lanes = rays.direction.map(|d| d.to_array());
@@ -70,9 +70,9 @@ impl World {
         };
         let mut pane = Pane::default();
         let mut polish = Pane::default();
-        let mut seen: [Seen; LANES] = std::array::from_fn(|lane| {
+        let mut seen: [RayHit; LANES] = std::array::from_fn(|lane| {
             if hit.facet[lane] == NO_FACET {
-                return Seen::default();
+                return RayHit::default();
             }
             let number = hit.facet[lane] as usize;
             let ray = [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
@@ -84,7 +84,7 @@ impl World {
                 let [point, ray] = moment.to_carrier(carrier, point, ray);
                 match self.crowd.facet(moment, carrier, number) {
                     Some(facet) => (facet, point, ray),
-                    None => return Seen::default(),
+                    None => return RayHit::default(),
                 }
             };
             // The pixel's cone cuts the surface in an ellipse; its mean radius decides the mip level.
@@ -116,7 +116,7 @@ impl World {
                 let normal = moment.in_world(carrier, facet.normal);
                 value *= self.light_around(point, normal);
             }
-            Seen {
+            RayHit {
                 value,
                 facet: number as u32,
             }
@@ -158,7 +158,7 @@ impl World {
     fn through(
         &self,
         pane: &Pane,
-        seen: &mut [Seen; LANES],
+        seen: &mut [RayHit; LANES],
         angle_rad: f32,
         moment: &Moment,
         panes: usize,

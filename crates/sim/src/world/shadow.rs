@@ -6,7 +6,7 @@ use super::crowd::Moment;
 use super::lit::{Lit, NOMINAL_LX};
 use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 use super::vector::{add, dot, scale};
-use super::{FAR_M, Seen, World};
+use super::{FAR_M, RayHit, World};
 
 /// A surface lies in the sun where it has more than this share of the sun's light.
 const SUNLIT: f32 = 0.8;
@@ -21,7 +21,7 @@ impl World {
         hit: &PacketHit,
         points: &[[f32; 3]; LANES],
         moment: &Moment,
-        seen: &mut [Seen; LANES],
+        seen: &mut [RayHit; LANES],
     ) {
         let still = |lane: usize| hit.facet[lane] != NO_FACET && hit.carrier[lane] == 0;
         for lane in (0..LANES).filter(|&lane| still(lane)) {

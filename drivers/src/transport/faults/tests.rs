@@ -28,14 +28,14 @@ impl PacketSource for Numbers {
 }
 
 #[derive(Debug, PartialEq)]
-struct Seen {
+struct Delivered {
     number: u32,
     /// After the first packet of the source, milliseconds.
     at_ms: i64,
 }
 
-fn seen(packet: &Packet) -> Seen {
-    Seen {
+fn seen(packet: &Packet) -> Delivered {
+    Delivered {
         number: u32::from_le_bytes(packet.bytes.as_slice().try_into().unwrap()),
         at_ms: (packet.arrival.nanos() - 1_000 * MS) / MS,
     }
@@ -52,7 +52,7 @@ fn drain(source: &mut impl PacketSource) -> (Vec<Packet>, Error) {
     }
 }
 
-fn suffer(count: u32, fault: Fault) -> (Vec<Seen>, FaultCounts) {
+fn suffer(count: u32, fault: Fault) -> (Vec<Delivered>, FaultCounts) {
     let mut faulty = Faulty::new(numbers(count), fault, 7);
     let (packets, end) = drain(&mut faulty);
     assert!(matches!(end, Error::EndOfStream { .. }), "{end}");

@@ -161,7 +161,7 @@ fn mounted(rig: &Rig, names: &[String]) -> Vec<Option<Se3>> {
 }
 
 /// A point and where it was seen, pixels of the formats here.
-type Seen = (u32, [f64; 2]);
+type Sight = (u32, [f64; 2]);
 
 /// An image that saw points.
 struct Image {
@@ -172,11 +172,11 @@ struct Image {
     camera_from_world: Se3,
     /// `CAMERA/NANOSECONDS.png`.
     name: String,
-    seen: Vec<Seen>,
+    seen: Vec<Sight>,
 }
 
 fn images(map: &HdMap) -> Vec<Image> {
-    let mut found: BTreeMap<(u32, u16), Vec<Seen>> = BTreeMap::new();
+    let mut found: BTreeMap<(u32, u16), Vec<Sight>> = BTreeMap::new();
     for o in (0..map.point_count() as u32).flat_map(|p| map.observations(p)) {
         let pixel = o.pixel.map(|v| f64::from(v) + HALF_PIXEL);
         found

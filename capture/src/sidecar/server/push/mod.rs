@@ -25,7 +25,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::{Recorded, Visit};
 use crate::receipt::Progress;
-use session::{NotStored, Place, PushSession, SILENT};
+use session::{BatchState, NotStored, PushSession, SILENT};
 
 /// Longest body: images are not taken.
 const MAX_BODY_BYTES: usize = 4 << 20;
@@ -185,13 +185,13 @@ async fn store(
     };
     drop(open);
     match place {
-        Place::Recorded(progress, seq) => {
+        BatchState::Recorded(progress, seq) => {
             stored(&progress, seq).await?;
             Ok(said(StatusCode::OK, "stored"))
         }
-        Place::Held => Ok(said(StatusCode::ACCEPTED, "waits for earlier batches")),
-        Place::Repeated => Ok(said(StatusCode::OK, "stored before")),
-        Place::Late => Ok(said(StatusCode::GONE, "too late: given up before it came")),
+        BatchState::Held => Ok(said(StatusCode::ACCEPTED, "waits for earlier batches")),
+        BatchState::Repeated => Ok(said(StatusCode::OK, "stored before")),
+        BatchState::Late => Ok(said(StatusCode::GONE, "too late: given up before it came")),
     }
 }
 

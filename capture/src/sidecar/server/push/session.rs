@@ -56,7 +56,7 @@ impl fmt::Debug for PushSession {
 pub(super) struct NotStored;
 
 /// Where a batch is.
-pub(super) enum Place {
+pub(super) enum BatchState {
     /// In the recording when so much is stored.
     Recorded(Arc<Progress>, u64),
     /// Waits for earlier ones.
@@ -129,19 +129,19 @@ impl PushSession {
     }
 
     /// Takes a batch.
-    pub(super) async fn take(&mut self, body: PushedBody) -> Result<Place, NotStored> {
+    pub(super) async fn take(&mut self, body: PushedBody) -> Result<BatchState, NotStored> {
         self.heard = Instant::now();
         let taken = self.order.take(body, self.heard);
         let place = match taken {
             Taken::Next(bodies) => {
                 self.record(bodies).await?;
-                Place::Recorded(Arc::clone(&self.opened.progress), self.seq)
+                BatchState::Recorded(Arc::clone(&self.opened.progress), self.seq)
             }
-            Taken::Held => Place::Held,
-            Taken::Late => Place::Late,
+            Taken::Held => BatchState::Held,
+            Taken::Late => BatchState::Late,
             Taken::Repeated => {
                 self.repeated += 1;
-                Place::Repeated
+                BatchState::Repeated
             }
         };
         self.tell(BTreeMap::new(), 0).await?;

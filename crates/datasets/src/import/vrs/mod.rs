@@ -41,14 +41,14 @@ impl std::fmt::Display for Id {
 
 /// Where the bytes of a record are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Place {
+pub(super) struct RecordSpan {
     at: u64,
     size: u64,
     unpacked: u64,
     packing: u8,
 }
 
-impl Place {
+impl RecordSpan {
     /// What is there, unpacked.
     fn read(&self, file: &mut File) -> Result<Vec<u8>, String> {
         let mut packed = vec![0; self.size as usize];
@@ -85,7 +85,7 @@ pub(super) struct Found {
     pub(super) version: u32,
     /// Byte of the file at which its head is.
     pub(super) head_at: u64,
-    pub(super) place: Place,
+    pub(super) place: RecordSpan,
 }
 
 /// What a stream says of its records, by names.
@@ -175,7 +175,7 @@ impl Vrs {
     }
 
     /// The bytes of a record, unpacked.
-    pub(super) fn bytes(&mut self, place: &Place) -> Result<Vec<u8>, String> {
+    pub(super) fn bytes(&mut self, place: &RecordSpan) -> Result<Vec<u8>, String> {
         place.read(&mut self.file)
     }
 
@@ -212,7 +212,7 @@ impl Vrs {
             id: Id { of, instance },
             version,
             kind,
-            place: Place {
+            place: RecordSpan {
                 at: at + RECORD_HEAD,
                 size: size - RECORD_HEAD,
                 unpacked,
@@ -227,14 +227,14 @@ struct Head {
     id: Id,
     version: u32,
     kind: u8,
-    place: Place,
+    place: RecordSpan,
 }
 
 /// The image in a record, as its bytes: what is behind the values of its layout.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ImageAt {
     pub(super) file: PathBuf,
-    pub(super) place: Place,
+    pub(super) place: RecordSpan,
     /// Where it begins in the record.
     pub(super) skip: usize,
 }

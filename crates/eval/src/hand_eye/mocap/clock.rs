@@ -5,7 +5,7 @@ use lsfb_types::Timestamp;
 
 use super::super::ClockModel;
 use super::filter::{MarkerPose, Smoothed};
-use super::motion::{Inertial, State};
+use super::motion::{ImuState, Inertial};
 
 /// Poses of motion capture that are used; more are thinned out evenly.
 const MOST_POSES: usize = 20_000;
@@ -36,7 +36,7 @@ impl Clock {
         found: &[Smoothed],
         seen: &mut [MarkerPose],
         model: ClockModel,
-    ) -> Vec<State> {
+    ) -> Vec<ImuState> {
         let count = found.len().max(1) as f64;
         let times: Vec<f64> = seen.iter().map(|s| s.secs).collect();
         let mean = |of: &dyn Fn(usize) -> f64| (0..found.len()).map(of).sum::<f64>() / count;
@@ -59,7 +59,7 @@ impl Clock {
             .map(|(found, seen)| {
                 let by_secs = change(seen.secs);
                 seen.secs += by_secs;
-                State {
+                ImuState {
                     clock_secs: found.state.clock_secs - by_secs,
                     ..found.state
                 }

@@ -12,8 +12,8 @@ use nalgebra::SMatrix;
 use crate::Error;
 
 use super::motion::{
-    CLOCK, Error25, Inertial, MOUNT_PLACE, MOUNT_ROTATION, Matrix25, PLACE, ROTATION, SIZE, State,
-    VELOCITY,
+    CLOCK, Error25, ImuState, Inertial, MOUNT_PLACE, MOUNT_ROTATION, Matrix25, PLACE, ROTATION,
+    SIZE, VELOCITY,
 };
 
 type ByState = SMatrix<f64, 6, SIZE>;
@@ -41,7 +41,7 @@ pub(super) struct Model {
 /// The state at one time, after all of them have spoken.
 #[derive(Clone, Debug)]
 pub(super) struct Smoothed {
-    pub state: State,
+    pub state: ImuState,
     pub covariance: Matrix25,
     /// What is left over of a pose, `[rotation, translation]` in the markers' body, rad and metres; `None` where markers were dropped.
     pub left: Option<Vector6<f64>>,
@@ -69,7 +69,7 @@ impl Smoothed {
 struct Step {
     /// From the errors of the step before.
     transition: Matrix25,
-    nominal: State,
+    nominal: ImuState,
     predicted: Error25,
     predicted_covariance: Matrix25,
     filtered: Error25,
@@ -80,9 +80,9 @@ struct Step {
 #[derive(Clone, Copy)]
 pub(super) enum About<'a> {
     /// Where the filter is, from a state of the first time.
-    Filter(&'a State),
+    Filter(&'a ImuState),
     /// A state for each time, and the weight of its pose, 0 to 1.
-    States(&'a [State], &'a [f64]),
+    States(&'a [ImuState], &'a [f64]),
 }
 
 /// `seen` in order of time, all within the samples; `covariance` is known of the first state before.
@@ -157,7 +157,7 @@ pub(super) fn smooth(
 fn corrected(
     inertial: &Inertial,
     seen: &MarkerPose,
-    nominal: &State,
+    nominal: &ImuState,
     error: &Error25,
     known: &Matrix25,
     model: &Model,
@@ -192,8 +192,8 @@ fn own(model: &Model) -> Matrix6<f64> {
 }
 
 /// A state at the time at which the markers were seen.
-fn on_time(state: &State, turn_rad_s: &Vector3<f64>) -> State {
-    State {
+fn on_time(state: &ImuState, turn_rad_s: &Vector3<f64>) -> ImuState {
+    ImuState {
         rotation: so3::retract(&state.rotation, &(turn_rad_s * state.clock_secs)),
         place: state.place + state.velocity * state.clock_secs,
         ..*state
@@ -201,7 +201,7 @@ fn on_time(state: &State, turn_rad_s: &Vector3<f64>) -> State {
 }
 
 /// What is seen less what should be, rotation in the markers' body and position in the world, and its derivative by the state's error.
-fn miss(inertial: &Inertial, secs: f64, seen: &Se3, state: &State) -> (Vector6<f64>, ByState) {
+fn miss(inertial: &Inertial, secs: f64, seen: &Se3, state: &ImuState) -> (Vector6<f64>, ByState) {
     let turn = inertial.at(secs).0 - state.gyro_bias;
     let now = on_time(state, &turn);
     let expected = now.markers();

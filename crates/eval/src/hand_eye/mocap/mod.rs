@@ -20,8 +20,8 @@ use crate::Error;
 use clock::{Clock, seen, within};
 use filter::{About, MarkerPose, Model, Smoothed, smooth};
 use motion::{
-    ACCEL_BIAS, CLOCK, GRAVITY, GYRO_BIAS, Inertial, MOUNT_PLACE, MOUNT_ROTATION, Matrix25, PLACE,
-    ROTATION, State, VELOCITY,
+    ACCEL_BIAS, CLOCK, GRAVITY, GYRO_BIAS, ImuState, Inertial, MOUNT_PLACE, MOUNT_ROTATION,
+    Matrix25, PLACE, ROTATION, VELOCITY,
 };
 pub use outcome::MocapAlignment;
 use outcome::{Noise, outcome};
@@ -207,7 +207,7 @@ fn start(
     clock: &Clock,
     inertial: &Inertial,
     turned: &super::GyroAlignment,
-) -> State {
+) -> ImuState {
     let imu_from_markers = lsfb_geometry::UnitQuaternion::new_normalize(
         lsfb_geometry::Quaternion::from_vector(turned.rotation_xyzw.into()),
     );
@@ -218,7 +218,7 @@ fn start(
         .sum();
     let down = -up.try_normalize(0.0).unwrap_or(Vector3::z());
     let (first, later) = (&poses[0], &poses[LEAST_POSES / 10]);
-    State {
+    ImuState {
         rotation: rotation(&first.1),
         place: first.1.translation,
         velocity: (later.1.translation - first.1.translation) / (later.0 - first.0),
@@ -261,7 +261,7 @@ fn halves(
     let middle = seen.len() / 2;
     let half = |range: std::ops::Range<usize>| {
         let half = &found[range.clone()];
-        let states: Vec<State> = half.iter().map(|f| f.state).collect();
+        let states: Vec<ImuState> = half.iter().map(|f| f.state).collect();
         let weights: Vec<f64> = half.iter().map(|f| f.weight(true)).collect();
         let about = About::States(&states, &weights);
         let found = smooth(inertial, &seen[range], about, &prior(), model).ok()?;

@@ -24,7 +24,7 @@ type Matrix15 = SMatrix<f64, MOVING, MOVING>;
 
 /// An IMU in the world of the motion capture, and what is not known of both.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct State {
+pub(super) struct ImuState {
     /// World from IMU.
     pub rotation: UnitQuaternion<f64>,
     pub place: Vector3<f64>,
@@ -42,7 +42,7 @@ pub(super) struct State {
     pub gravity: Vector3<f64>,
 }
 
-impl State {
+impl ImuState {
     /// Moved by an error; rotations on the right, positions in the world.
     pub fn retract(&self, by: &Error25) -> Self {
         let part = |at: usize| by.fixed_rows::<3>(at).into_owned();
@@ -104,7 +104,7 @@ impl State {
 
 /// A state that was taken along, how an error of it became one of the new state, and what was added to its covariance.
 pub(super) struct Moved {
-    pub state: State,
+    pub state: ImuState,
     pub transition: Matrix25,
     pub added: Matrix25,
 }
@@ -174,7 +174,7 @@ impl Inertial {
     /// Takes a state along; `clock_walk` is the clock's random walk, s/√s.
     pub fn moved(
         &self,
-        start: &State,
+        start: &ImuState,
         from_secs: f64,
         to_secs: f64,
         noise: &ImuNoiseModel,
@@ -227,7 +227,7 @@ impl Inertial {
     }
 
     /// Poses at the samples between two states, the later one not included; the state's own time first.
-    pub fn poses_from(&self, start: &State, from_secs: f64, to_secs: f64) -> Vec<StampedPose> {
+    pub fn poses_from(&self, start: &ImuState, from_secs: f64, to_secs: f64) -> Vec<StampedPose> {
         let mut state = *start;
         let mut poses = Vec::new();
         for [a, b] in self.steps(from_secs, to_secs) {
@@ -246,7 +246,7 @@ impl Inertial {
 
 /// Of one step, linear in the error.
 fn transition(
-    state: &State,
+    state: &ImuState,
     turn_rad_s: &Vector3<f64>,
     force_m_s2: &Vector3<f64>,
     secs: f64,
@@ -298,9 +298,9 @@ mod tests {
         Inertial::new(&samples, Timestamp::from_nanos(0))
     }
 
-    fn state() -> State {
+    fn state() -> ImuState {
         let h = 1e-5;
-        State {
+        ImuState {
             rotation: motion(0.5).rotation,
             place: motion(0.5).translation,
             velocity: (motion(0.5 + h).translation - motion(0.5 - h).translation) / (2.0 * h),
@@ -324,7 +324,7 @@ mod tests {
     fn the_transition_is_the_derivative() {
         let noise = super::super::MocapConfig::default().noise;
         let inertial = inertial();
-        let end = |state: &State| inertial.moved(state, 0.5, 0.57, &noise, 0.0);
+        let end = |state: &ImuState| inertial.moved(state, 0.5, 0.57, &noise, 0.0);
         let whole = end(&state());
         for k in 0..SIZE {
             let h = 1e-6;

@@ -16,7 +16,7 @@ use crate::config::CameraConfig;
 use crate::noise::hash;
 use crate::walk::Passers;
 use crate::world::crowd::Moment;
-use crate::world::{LANES, RayPacket, Seen, World};
+use crate::world::{LANES, RayHit, RayPacket, World};
 
 /// Rows rendered by one task.
 const ROWS_PER_TASK: usize = 8;
@@ -222,7 +222,7 @@ impl CameraSim {
     /// Brightness of all pixels, borders between facets smoothed.
     fn look_everywhere(&self, view: &View) -> Vec<f32> {
         let groups = self.width / LANES;
-        let mut seen = vec![[Seen::default(); LANES]; self.directions.len()];
+        let mut seen = vec![[RayHit::default(); LANES]; self.directions.len()];
         seen.par_chunks_mut(groups * ROWS_PER_TASK)
             .enumerate()
             .for_each(|(task, out)| {
@@ -246,7 +246,7 @@ impl CameraSim {
     }
 
     /// What eight rays of a row meet; black where there is nothing.
-    fn look(&self, view: &View, row: usize, directions: &[f32x8; 3]) -> [Seen; LANES] {
+    fn look(&self, view: &View, row: usize, directions: &[f32x8; 3]) -> [RayHit; LANES] {
         let eye = view.eye(row);
         let direction: [f32x8; 3] = std::array::from_fn(|i| {
             f32x8::splat(eye.rotation[(i, 0)]) * directions[0]
@@ -259,7 +259,7 @@ impl CameraSim {
 
     /// Fills `values` with the brightness of row `y`. A texture is averaged over the pixel already; where two facets
     /// share a pixel, four rays decide how much of it each gets.
-    fn smooth_borders(&self, view: &View, seen: &[Seen], y: usize, values: &mut [f32]) {
+    fn smooth_borders(&self, view: &View, seen: &[RayHit], y: usize, values: &mut [f32]) {
         let row = &seen[y * self.width..(y + 1) * self.width];
         let above = &seen[y.saturating_sub(1) * self.width..][..self.width];
         let below = &seen[(y + 1).min(self.height - 1) * self.width..][..self.width];

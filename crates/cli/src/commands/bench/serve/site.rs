@@ -148,7 +148,7 @@ impl Site {
             let why = "too many uploads: six a minute, sixty an hour";
             return Err(Refusal::new(StatusCode::TOO_MANY_REQUESTS, why));
         }
-        let Some(_place) = Place::take(&self.uploads) else {
+        let Some(_place) = UploadSlot::take(&self.uploads) else {
             let why = "others are uploading: come back in a minute";
             return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why));
         };
@@ -231,9 +231,9 @@ fn html(status: StatusCode, page: String) -> Answer {
 }
 
 /// A place among those who upload, until it is dropped.
-struct Place<'a>(&'a AtomicUsize);
+struct UploadSlot<'a>(&'a AtomicUsize);
 
-impl<'a> Place<'a> {
+impl<'a> UploadSlot<'a> {
     fn take(uploads: &'a AtomicUsize) -> Option<Self> {
         let free = |taken: usize| (taken < MOST_UPLOADS).then_some(taken + 1);
         let taken = uploads.fetch_update(Ordering::AcqRel, Ordering::Acquire, free);
@@ -241,7 +241,7 @@ impl<'a> Place<'a> {
     }
 }
 
-impl Drop for Place<'_> {
+impl Drop for UploadSlot<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::AcqRel);
     }
