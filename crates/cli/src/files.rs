@@ -19,17 +19,15 @@ pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The image files of a folder, by name.
+/// The image files of a folder, by name; folders below it are none, whatever they are called.
 pub fn image_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     let mut files = Vec::new();
     for entry in entries {
         let path = entry.with_context(|| folder.display().to_string())?.path();
         let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-        if ["png", "jpg", "jpeg"]
-            .iter()
-            .any(|known| extension == *known)
-        {
+        let is_named_image = ["png", "jpg", "jpeg"].iter().any(|k| extension == *k);
+        if is_named_image && !path.is_dir() {
             files.push(path);
         }
     }

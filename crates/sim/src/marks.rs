@@ -133,18 +133,21 @@ impl Simulation {
 
     /// A place in an image; `None` where it is outside, too far, or hidden.
     fn sight<'a>(&self, shot: &'a Shot<'a>, place: &Vector3<f64>) -> Option<Sight<'a>> {
+        let origin = shot.world_from_camera.translation;
+        let along = place - origin;
+        let far_m = along.norm();
+        if far_m >= CLICKED_M {
+            return None;
+        }
         let in_camera = shot.world_from_camera.inverse() * *place;
         let pixel = shot.camera.project(&in_camera)?;
         let inside = |at: f64, size: u32| (EDGE_PX..f64::from(size) - 1.0 - EDGE_PX).contains(&at);
         if !inside(pixel.x, shot.camera.width) || !inside(pixel.y, shot.camera.height) {
             return None;
         }
-        let origin = shot.world_from_camera.translation;
-        let along = place - origin;
-        let far_m = along.norm();
         let direction = along / far_m;
         let hit = self.world().cast(narrow(&origin), narrow(&direction))?;
-        let met = far_m < CLICKED_M && (f64::from(hit.distance) - far_m).abs() < MET_M;
+        let met = (f64::from(hit.distance) - far_m).abs() < MET_M;
         met.then_some(Sight {
             shot,
             pixel,

@@ -295,22 +295,28 @@ pub fn run_odometry(
 /// Scans that are read while others are registered.
 const AHEAD: usize = 4;
 
-/// Takes each item of a stream in turn, while a second thread, which opens it, reads those behind it. Ends at the first failure.
+/// Takes each item of a stream in turn, while a second thread, which opens it, reads those behind it; where none can be started, one after
+/// the other. Ends at the first failure.
 fn read_ahead<T: Send, S: Iterator<Item = T>>(
-    open: impl FnOnce() -> Result<S, lsfb_recording::Error> + Send,
+    open: impl Fn() -> Result<S, lsfb_recording::Error> + Sync,
     mut take: impl FnMut(T) -> Result<(), Error>,
 ) -> Result<(), Error> {
     std::thread::scope(|scope| {
         let (sender, items) = std::sync::mpsc::sync_channel(AHEAD);
-        scope.spawn(move || {
+        let open = &open;
+        let read = move || {
             // Nobody takes more after a failure.
             let send = |item| sender.send(item).is_ok();
             match open() {
                 Ok(mut stream) => stream.all(|item| send(Ok(item))),
                 Err(why) => send(Err(why)),
             }
-        });
-        items.into_iter().try_for_each(|item| take(item?))
+        };
+        let reader = std::thread::Builder::new().name("read-scans".to_owned());
+        match reader.spawn_scoped(scope, read) {
+            Ok(_) => items.into_iter().try_for_each(|item| take(item?)),
+            Err(_) => open()?.try_for_each(take),
+        }
     })
 }
 
