@@ -147,7 +147,7 @@ impl OdometryWarning {
                 "last-piece",
                 format!(
                     "the recording ends within a scan: the {:.0} % of it that are there found no place in the map, and are left out",
-                    share * 100.0
+                    (share * 100.0).ceil()
                 ),
             ),
             Self::Unseen { stretch } => ("unseen-motion", stretch.to_string()),

@@ -205,6 +205,11 @@ impl OdometryRun {
         if is_lost && took_s < PIECE * usual_s {
             self.ranges = ranges;
             self.found.leave_out_piece(took_s / usual_s);
+            let deskew = &mut self.clock.report;
+            match deskew.by_azimuth {
+                0 => deskew.by_times = deskew.by_times.saturating_sub(1),
+                _ => deskew.by_azimuth -= 1,
+            }
         }
         Ok(())
     }
