@@ -21,7 +21,7 @@ use lsfb_types::{ImuSample, Stamped};
 
 use super::OdometryWarning;
 use axes::Sensor;
-pub(super) use pairs::pairs_off;
+pub(super) use pairs::{Scans, pairs_off};
 use turns::Turns;
 
 /// A scan that is not deskewed is turned as its carrier was some time within the sweep, not at its stamp: a clock may look so late by that alone, seconds.

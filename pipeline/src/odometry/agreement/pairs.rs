@@ -4,13 +4,13 @@
 //! in one axis bends a walk by metres, in which every scan lies on the map. So scans are taken a second later, registered to those about the first
 //! alone by planes and without the IMU's help, and held against the trajectory along the directions that they see.
 
-use lsfb_geometry::{Matrix6, Se3, Vector3, Vector6};
+use lsfb_geometry::{Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{LocalMap, Match, PosePrior, observability, register};
 use lsfb_perception::statistics::median;
 use rayon::prelude::*;
 
+use crate::odometry::OdometryConfig;
 use crate::odometry::degeneracy::LEAST_SEEN_PER_M2;
-use crate::odometry::{OdometryConfig, OdometryResult};
 
 /// From the scan in the middle of the map to the one that is registered, seconds: at least and at most.
 const LATER_S: std::ops::RangeInclusive<f64> = 0.9..=1.3;
@@ -26,47 +26,53 @@ const MIN_OVERLAP: f64 = 0.4;
 /// Half of the pairs are off by more: metres. Right ones come to a centimetre or two.
 const OFF_M: f64 = 0.06;
 
+/// Scans and where the trajectory has them.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::odometry) struct Scans<'a> {
+    pub poses: &'a [StampedPose],
+    /// Points of each in the rig, metres.
+    pub clouds: &'a [&'a [[f32; 3]]],
+    pub lidar: &'a RigLidar,
+}
+
 /// By how much half of the pairs are off at least, metres, where that is more than registration errs.
-pub(in crate::odometry) fn pairs_off(
-    result: &OdometryResult,
-    config: &OdometryConfig,
-) -> Option<f64> {
-    let scans = &result.scan_poses;
+pub(in crate::odometry) fn pairs_off(scans: &Scans<'_>, config: &OdometryConfig) -> Option<f64> {
+    let poses = scans.poses;
     let later = |first: usize| {
-        let start = scans[first].pose.time;
-        let (k, scan) = scans
+        let start = poses[first].time;
+        let (k, pose) = poses
             .iter()
             .enumerate()
             .skip(first + BESIDE + 1)
-            .find(|(_, s)| s.pose.time.secs_since(start) >= *LATER_S.start())?;
+            .find(|(_, p)| p.time.secs_since(start) >= *LATER_S.start())?;
         LATER_S
-            .contains(&scan.pose.time.secs_since(start))
+            .contains(&pose.time.secs_since(start))
             .then_some((first, k))
     };
-    let pairs: Vec<_> = (BESIDE..scans.len()).filter_map(later).collect();
+    let pairs: Vec<_> = (BESIDE..poses.len()).filter_map(later).collect();
     let every = pairs.len().div_ceil(MAX_PAIRS).max(1);
     let pairs: Vec<_> = pairs.into_iter().step_by(every).collect();
     let off = pairs
         .into_par_iter()
-        .filter_map(|(first, second)| pair_off(result, config, first, second));
+        .filter_map(|(first, second)| pair_off(scans, config, first, second));
     let off: Vec<f64> = off.collect();
     let off_m = median(off.clone()).filter(|_| off.len() >= MIN_PAIRS)?;
     (off_m > OFF_M).then_some(off_m)
 }
 
 fn pair_off(
-    result: &OdometryResult,
+    scans: &Scans<'_>,
     config: &OdometryConfig,
     first: usize,
     second: usize,
 ) -> Option<f64> {
-    let pose = |k: usize| result.scan_poses[k].pose.world_from_rig;
+    let pose = |k: usize| scans.poses[k].world_from_rig;
     let first_from = |k: usize| pose(first).inverse() * pose(k);
     let points = |k: usize| -> Option<Vec<Vector3<f64>>> {
-        let points = result.clouds.get(k)?.points_in_rig.iter();
+        let points = scans.clouds.get(k)?.iter();
         Some(points.map(|p| Vector3::from(p.map(f64::from))).collect())
     };
-    let lidar = &result.lidar;
+    let lidar = scans.lidar;
     let sensor_in_rig = lidar.rig_from_lidar.translation;
     let mut map = LocalMap::new(config.local_map(lidar));
     for k in first - BESIDE..=first + BESIDE {

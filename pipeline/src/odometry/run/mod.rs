@@ -13,7 +13,7 @@ use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
-use super::agreement::{contradictions, pairs_off};
+use super::agreement::{Scans, contradictions, pairs_off};
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::range_check::RangeCheck;
@@ -230,7 +230,17 @@ impl OdometryRun {
         result.report.warnings.extend(said);
         let off_m = match result.report.imu_samples {
             0 => None,
-            _ => pairs_off(&result, &self.config),
+            _ => {
+                let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
+                let clouds = result.clouds.iter();
+                let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
+                let scans = Scans {
+                    poses: &poses,
+                    clouds: &clouds,
+                    lidar: &result.lidar,
+                };
+                pairs_off(&scans, &self.config)
+            }
         };
         if let Some(off_m) = off_m {
             result
