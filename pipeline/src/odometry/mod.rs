@@ -5,9 +5,9 @@
 //! prior of the registration). Without one, motion is taken to continue as in the last scan, and the start defines a
 //! world that is not level.
 
+mod agreement;
 mod config;
 mod degeneracy;
-mod extrinsic_check;
 mod first_second;
 mod free_space;
 mod imu_check;
@@ -18,7 +18,6 @@ mod point_clock;
 mod range_check;
 mod report;
 mod run;
-mod scale_check;
 mod start_scan;
 mod uncertainty;
 mod unseen;

@@ -22,6 +22,11 @@ pub enum OdometryWarning {
         /// Scans behind the last pose.
         scans: u64,
     },
+    /// The recording ends within a scan, of which too little is there to find its place.
+    Piece {
+        /// How much of it is there, by its time.
+        share: f64,
+    },
     /// Scans do not see all of the motion.
     Unseen {
         /// When, which, and how far it may be off.
@@ -76,6 +81,25 @@ pub enum OdometryWarning {
         /// Standard deviation of that, degrees.
         sigma_deg: f64,
     },
+    /// A sensor of the IMU has other axes than the rig.
+    ImuAxes {
+        /// `gyroscope` or `accelerometer`.
+        sensor: String,
+        /// What the rig's x, y and z are of its own, as (-x, y, z).
+        right: String,
+    },
+    /// The IMU's stamps are late against the scans', or early.
+    ImuClock {
+        /// By how much they are late, seconds.
+        late_s: f64,
+        /// Standard deviation of that, seconds.
+        sigma_s: f64,
+    },
+    /// Scans lie elsewhere on each other than the trajectory has them.
+    ScansApart {
+        /// Half of the pairs, a second apart, by more than this, metres.
+        off_m: f64,
+    },
     /// Scans and accelerometer measure in different units.
     Scale {
         /// Accelerations by the scans as a multiple of those by the accelerometer.
@@ -118,6 +142,13 @@ impl OdometryWarning {
             Self::LostAtEnd { scans } => (
                 "lost-at-end",
                 format!("the last {scans} scans are lost: the trajectory ends before them"),
+            ),
+            Self::Piece { share } => (
+                "last-piece",
+                format!(
+                    "the recording ends within a scan: the {:.0} % of it that are there found no place in the map, and are left out",
+                    (share * 100.0).ceil()
+                ),
             ),
             Self::Unseen { stretch } => ("unseen-motion", stretch.to_string()),
             Self::EndUncertain { sigma_m } => (
@@ -167,6 +198,22 @@ impl OdometryWarning {
                     "gyroscope and scans turn about different axes: the LiDAR's rotation on the IMU is off by {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation) or more, and poses are wrong by it; calibrate the rig, or run without the IMU"
                 ),
             ),
+            Self::ImuAxes { sensor, right } => ("imu-axes", axes_sentence(sensor, right)),
+            Self::ImuClock { late_s, sigma_s } => (
+                "imu-clock",
+                format!(
+                    "gyroscope and scans turn alike if the IMU's stamps are {:.0} ± {:.0} ms (one standard deviation) too {}: the path between scans is wrong by it, and so may the poses of scans be; set the clocks, or run without the IMU",
+                    late_s.abs() * 1e3,
+                    sigma_s * 1e3,
+                    if *late_s > 0.0 { "late" } else { "early" }
+                ),
+            ),
+            Self::ScansApart { off_m } => (
+                "scans-apart",
+                format!(
+                    "scans a second apart lie on each other {off_m:.2} m off where the trajectory has them (half of them by more): the IMU draws them away, and the trajectory may be metres off; is an axis or the sign of the accelerometer wrong, or its unit or clock? Run without the IMU to see"
+                ),
+            ),
             Self::Scale { scale, sigma } => ("scale", scale_sentence(*scale, *sigma)),
             Self::LittleAgreement { share } => (
                 "little-agreement",
@@ -193,7 +240,19 @@ impl OdometryWarning {
             }
             Self::Damaged { what } => ("damaged", what.clone()),
         };
-        Finding::new(code, Verdict::Warn, "odometry", what)
+        Finding::new(code, self.verdict(), "odometry", what)
+    }
+
+    /// What makes poses wrong for certain fails a trajectory; the rest leaves something out of it, or widens it.
+    fn verdict(&self) -> Verdict {
+        match self {
+            Self::ExtrinsicRotation { .. }
+            | Self::ImuAxes { .. }
+            | Self::ImuClock { .. }
+            | Self::ScansApart { .. }
+            | Self::Scale { .. } => Verdict::Fail,
+            _ => Verdict::Warn,
+        }
     }
 }
 
@@ -208,6 +267,18 @@ const UNITS: [(f64, &str); 6] = [
 ];
 /// A factor within this of one of them, as a share, is taken for it.
 const NEAR_UNIT: f64 = 0.2;
+
+fn axes_sentence(sensor: &str, right: &str) -> String {
+    let why = match (sensor, right) {
+        ("accelerometer", "(-x, -y, -z)") => {
+            ", as of one of the wrong sign: at rest it must feel 9.81 m/s² upwards"
+        }
+        _ => "",
+    };
+    format!(
+        "the {sensor} fits the scans by far best if the rig's axes x, y and z are its own {right}{why}; trajectory and gravity are wrong by it: mend the rotations in the rig file or the IMU's driver, or run without the IMU"
+    )
+}
 
 fn scale_sentence(scale: f64, sigma: f64) -> String {
     let unit = UNITS

@@ -6,6 +6,7 @@ use lsfb_drivers::any_lidar::Model;
 use lsfb_pipeline::loops::{Closing, Loops, close_loops, find_loops};
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport, OdometryResult};
 use lsfb_recording::{Provenance, write_tum};
+use lsfb_types::Verdict;
 use serde::Serialize;
 
 use super::covariance_file;
@@ -19,7 +20,8 @@ use crate::outcome::Outcome;
 /// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
 /// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
 /// Scans that could not be registered have no pose. Exit code 3 where packets or messages are missing or cannot be read, where scans have
-/// no pose, or where the place of the last is not known to a metre.
+/// no pose, or where the place of the last is not known to a metre; 4 where IMU and scans contradict each other (axes, clock, unit, where
+/// the LiDAR is on the IMU): the trajectory is written, and is wrong.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has the pose of each scan with its covariance relative to the first, as `lsfb eval
 /// --align origin` reads it: 44 columns. Stretches in which scans do not see all of the motion (a corridor without ends, a room without
@@ -211,14 +213,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if let Some(loops) = &loops {
             text += &about_loops(loops);
         }
-        let of_odometry = r.warnings.iter().map(|w| w.finding().what);
+        let of_odometry = r.warnings.iter().map(|w| match w.finding() {
+            failure if failure.verdict == Verdict::Fail => format!("FAIL {}", failure.what),
+            warning => warning.what,
+        });
         for warning in of_odometry.chain(found.input.warnings.iter().cloned()) {
             text += &format!("\n  {warning}");
         }
         text
     })?;
-    Ok(match r.is_whole() {
-        true => Outcome::Done,
-        false => Outcome::DataLost,
+    let fails = r
+        .warnings
+        .iter()
+        .any(|w| w.finding().verdict == Verdict::Fail);
+    Ok(match (fails, r.is_whole()) {
+        (true, _) => Outcome::JudgementFailed,
+        (_, true) => Outcome::Done,
+        (_, false) => Outcome::DataLost,
     })
 }

@@ -7,7 +7,7 @@ use super::{DeskewedCloud, OdometryResult, ScanPose};
 use crate::Error;
 use crate::odometry::report::OdometryReport;
 use crate::odometry::unseen::UnseenStretches;
-use crate::odometry::{InertialState, OdometryStep, StepOutcome};
+use crate::odometry::{InertialState, OdometryStep, OdometryWarning, StepOutcome};
 
 /// What has come together so far.
 #[derive(Default)]
@@ -56,6 +56,15 @@ impl Found {
             lost_at_end: lost,
             ..report
         };
+    }
+
+    /// Takes it back that the last scan was lost: it is such a share of one, and none.
+    pub fn leave_out_piece(&mut self, share: f64) {
+        let report = &mut self.report;
+        report.scans -= 1;
+        report.lost -= 1;
+        report.lost_at_end -= 1;
+        report.warnings.push(OdometryWarning::Piece { share });
     }
 
     fn take_step(&mut self, step: OdometryStep) {
@@ -148,7 +157,6 @@ mod tests {
     use lsfb_types::Timestamp;
 
     use super::*;
-    use crate::odometry::OdometryWarning;
 
     fn lidar() -> RigLidar {
         RigLidar {

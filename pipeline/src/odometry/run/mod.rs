@@ -8,16 +8,16 @@ use std::path::Path;
 use std::vec::IntoIter;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
-use super::extrinsic_check::rotation_off;
+use super::agreement::{Scans, contradictions, pairs_off};
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::range_check::RangeCheck;
 use super::report::OdometryReport;
-use super::scale_check::scale_off;
 use super::warning::OdometryWarning;
 use super::{Odometry, OdometryConfig};
 use crate::Error;
@@ -110,8 +110,13 @@ pub struct OdometryRun {
     clock: PointClock,
     config: OdometryConfig,
     ranges: RangeCheck,
+    /// How long each scan took, seconds.
+    durations_s: Vec<f64>,
     found: Found,
 }
+
+/// What lasts less than this share of what scans usually last is a piece of one.
+const PIECE: f64 = 0.5;
 
 impl OdometryRun {
     /// For a LiDAR and, if there is one, an IMU whose frame is the rig's. Without inertial samples it works from the scans alone and
@@ -153,6 +158,7 @@ impl OdometryRun {
             clock: PointClock::default(),
             config: config.clone(),
             ranges: RangeCheck::default(),
+            durations_s: Vec::new(),
             found,
         })
     }
@@ -180,6 +186,7 @@ impl OdometryRun {
 
     fn register(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
         self.ranges.take(&scan.sample, &self.config);
+        self.durations_s.push(duration_s(&scan.sample));
         // Half a second ahead: more than one revolution of the slowest LiDAR.
         let ahead = scan.time.plus_nanos(500_000_000);
         while let Some(sample) = self.waiting_imu.next_if(|s| s.time <= ahead) {
@@ -188,33 +195,58 @@ impl OdometryRun {
         self.found.take(self.odometry.push_scan(scan))
     }
 
+    /// A capture ends wherever the rotor stands: what is left of a turn then, and finds no place, is no scan that was lost.
+    fn register_last(&mut self, last: &Stamped<LidarScan>) -> Result<(), Error> {
+        let usual_s = median(self.durations_s.clone()).unwrap_or(0.0);
+        let took_s = duration_s(&last.sample);
+        let (lost, ranges) = (self.found.report.lost, self.ranges.clone());
+        self.register(last)?;
+        let is_lost = self.found.report.lost > lost && self.found.report.lost_at_end > 0;
+        if is_lost && took_s < PIECE * usual_s {
+            self.ranges = ranges;
+            self.found.leave_out_piece(took_s / usual_s);
+            let deskew = &mut self.clock.report;
+            match deskew.by_azimuth {
+                0 => deskew.by_times = deskew.by_times.saturating_sub(1),
+                _ => deskew.by_azimuth -= 1,
+            }
+        }
+        Ok(())
+    }
+
     /// The result of all scans that were pushed. Without a single pose its trajectory is empty.
     pub fn finish(mut self) -> Result<OdometryResult, Error> {
         if let Some(last) = self.clock.finish() {
-            self.register(&last)?;
+            self.register_last(&last)?;
         }
         self.found.report.deskew = self.clock.report;
         let by_scans = std::mem::take(&mut self.found.by_scans);
         let mut result = self
             .found
             .finish(self.odometry.inertial_state(), self.odometry.lidar());
-        // A scan that is not deskewed is turned by what the carrier turned while it was taken: that looks like a rig that is off.
         let deskew = &result.report.deskew;
         let is_deskewed = deskew.by_times + deskew.by_azimuth > deskew.none;
-        if let Some(off) = rotation_off(&by_scans, &self.samples).filter(|_| is_deskewed) {
+        let said = contradictions(&by_scans, &self.samples, is_deskewed);
+        result.report.warnings.extend(said);
+        let off_m = match result.report.imu_samples {
+            0 => None,
+            _ => {
+                let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
+                let clouds = result.clouds.iter();
+                let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
+                let scans = Scans {
+                    poses: &poses,
+                    clouds: &clouds,
+                    lidar: &result.lidar,
+                };
+                pairs_off(&scans, &self.config)
+            }
+        };
+        if let Some(off_m) = off_m {
             result
                 .report
                 .warnings
-                .push(OdometryWarning::ExtrinsicRotation {
-                    off_deg: off.off_rad.to_degrees(),
-                    sigma_deg: off.sigma_rad.to_degrees(),
-                });
-        }
-        if let Some(off) = scale_off(&by_scans, &self.samples) {
-            result.report.warnings.push(OdometryWarning::Scale {
-                scale: off.scale,
-                sigma: off.sigma,
-            });
+                .push(OdometryWarning::ScansApart { off_m });
         }
         let little = result.report.little_agreement();
         result.report.warnings.extend(little);
@@ -236,6 +268,12 @@ impl OdometryRun {
         }
         Ok(result)
     }
+}
+
+/// From a scan's first point to its last, seconds; 0 where points carry no times.
+fn duration_s(scan: &LidarScan) -> f64 {
+    let offsets_ns = scan.points.iter().map(|p| p.time_offset_ns);
+    f64::from(offsets_ns.max().unwrap_or(0)) * 1e-9
 }
 
 /// Runs the odometry over a recording.

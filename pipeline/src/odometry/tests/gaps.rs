@@ -1,5 +1,7 @@
 //! Scans and samples that are missing, and sensors that are not mounted as is said.
 
+use lsfb_recording::cloud::{PointTimes, TimesBegin};
+
 use super::room::{self, Room};
 use super::*;
 
@@ -97,4 +99,32 @@ fn the_next_room_is_not_taken_for_the_one_that_was_seen() {
         // Back in the first room it is found again.
         assert_ne!(found[3].0, StepOutcome::Lost);
     }
+}
+
+/// A capture of packets ends within a turn of its rotor. Naively a twentieth of one that saw its carrier alone was a scan that is lost, and the sensor covered.
+#[test]
+fn a_piece_of_a_scan_at_the_end_is_none_that_is_lost() {
+    let (config, room) = (OdometryConfig::default(), Room::furnished());
+    let mut run = OdometryRun::new(&config, &room::lidar(), None).expect("settings");
+    for i in 0..5 {
+        let mut scan = room::scan(&room, 0.1 * i as f64, i);
+        if i == 4 {
+            let points = &mut scan.sample.points;
+            points.retain(|p| p.time_offset_ns < 5_000_000);
+            let near = |c: f32| 0.01 * c;
+            points
+                .iter_mut()
+                .for_each(|p| p.position_m = p.position_m.map(near));
+        }
+        let times = PointTimes::Field {
+            name: "t".to_owned(),
+            begins: TimesBegin::AfterStamp { nanos: 0 },
+        };
+        run.push(TimedScan { scan, times }).expect("scan");
+    }
+    let report = run.finish().expect("a trajectory").report;
+    assert_eq!((report.scans, report.registered), (4, 4));
+    assert!(report.is_whole(), "{report:?}");
+    let codes: Vec<_> = report.warnings.iter().map(|w| w.finding().code).collect();
+    assert_eq!(codes, ["last-piece", "no-imu"]);
 }

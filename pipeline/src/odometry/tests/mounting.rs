@@ -12,20 +12,23 @@ const WALK_S: f64 = 6.0;
 /// Runs the walk in the furnished room with an IMU whose axes are turned against those of the rig of the others, and whose specific forces are
 /// in a unit of so many m/s². Gives what was said, and how far poses are off at most since the start, metres.
 fn walk(rig_from_usual: &UnitQuaternion<f64>, unit_m_s2: f64) -> (OdometryReport, f64) {
-    walk_with_lidar_off_by(&Vector3::zeros(), rig_from_usual, unit_m_s2)
+    walk_with_lidar_off_by(&Vector3::zeros(), rig_from_usual, [unit_m_s2; 3])
 }
 
 /// The same with a rig in which the LiDAR is turned by so much against where it is, radians.
 fn walk_with_lidar_off_by(
     off: &Vector3<f64>,
     rig_from_usual: &UnitQuaternion<f64>,
-    unit_m_s2: f64,
+    units_m_s2: [f64; 3],
 ) -> (OdometryReport, f64) {
-    let turned = |v: [f64; 3], unit: f64| (rig_from_usual * Vector3::from(v) / unit).into();
+    let turned = |v: [f64; 3], units: [f64; 3]| {
+        let turned = rig_from_usual * Vector3::from(v);
+        turned.component_div(&Vector3::from(units)).into()
+    };
     let mut samples = room::imu_samples(WALK_S, 7);
     for Stamped { sample, .. } in &mut samples {
-        sample.angular_velocity_rad_s = turned(sample.angular_velocity_rad_s, 1.0);
-        sample.specific_force_m_s2 = turned(sample.specific_force_m_s2, unit_m_s2);
+        sample.angular_velocity_rad_s = turned(sample.angular_velocity_rad_s, [1.0; 3]);
+        sample.specific_force_m_s2 = turned(sample.specific_force_m_s2, units_m_s2);
     }
     let rig_from_usual = Se3::new(*rig_from_usual, Vector3::zeros());
     let mut lidar = RigLidar {
@@ -84,7 +87,7 @@ fn in_gravities_the_walk_is_the_same_and_that_is_said() {
 fn a_lidar_that_is_turned_against_the_rig_is_named() {
     for off_deg in [[0.0, 5.0, 0.0], [-5.0, 0.0, 0.0]] {
         let off = Vector3::from(off_deg.map(f64::to_radians));
-        let (report, _) = walk_with_lidar_off_by(&off, &UnitQuaternion::identity(), 1.0);
+        let (report, _) = walk_with_lidar_off_by(&off, &UnitQuaternion::identity(), [1.0; 3]);
         let found = report.warnings.iter().find_map(|w| match w {
             OdometryWarning::ExtrinsicRotation { off_deg, .. } => Some(*off_deg),
             _ => None,
@@ -98,6 +101,22 @@ fn a_lidar_that_is_turned_against_the_rig_is_named() {
     }
     // Half a degree is left to calibration.
     let little = Vector3::new(0.0, 0.5f64.to_radians(), 0.0);
-    let (report, _) = walk_with_lidar_off_by(&little, &UnitQuaternion::identity(), 1.0);
+    let (report, _) = walk_with_lidar_off_by(&little, &UnitQuaternion::identity(), [1.0; 3]);
     assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+}
+
+/// Naively an axis that is turned round bent a walk by metres, every scan lay on the map, and nothing was said.
+#[test]
+fn an_accelerometer_of_a_wrong_sign_bends_no_walk_without_a_word() {
+    let none = Vector3::zeros();
+    for units in [[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0; 3]] {
+        let (report, worst_m) = walk_with_lidar_off_by(&none, &UnitQuaternion::identity(), units);
+        let fails = |w: &OdometryWarning| w.finding().verdict == lsfb_types::Verdict::Fail;
+        let is_said = !report.is_whole() || report.warnings.iter().any(fails);
+        assert!(
+            is_said || worst_m < 0.1,
+            "{units:?}: {worst_m} m, {:?}",
+            report.warnings
+        );
+    }
 }

@@ -5,17 +5,12 @@
 //! spans of the walk. What is left of the gyroscope in the poses of the scans (their information is no better known than their correspondences) makes
 //! it too little, never too much. About an axis that all turns share nothing is learnt, and then nothing is said.
 
-use lsfb_geometry::IntegratedGyro;
-use lsfb_geometry::{Matrix3, StampedPose, UnitQuaternion, Vector3, Vector6, so3};
+use lsfb_geometry::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_perception::gauss_newton::NormalEquations;
-use lsfb_perception::statistics::median;
-use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::Matrix3x6;
 
-/// Length of a span, seconds, at least and at most: longer ones have gaps.
-const SPAN_S: std::ops::RangeInclusive<f64> = 0.45..=1.5;
-/// Fewer spans tell nothing.
-const MIN_SPANS: usize = 8;
+use super::turns::{MIN_SPANS, Turn, scatter};
+
 /// What is known beforehand: of the rotation, radians, and of the bias, rad/s.
 const PRIOR_RAD: f64 = 0.5;
 const PRIOR_RAD_S: f64 = 0.05;
@@ -24,9 +19,8 @@ const LEAST_SIGMA_RAD: f64 = 5e-4;
 /// A start far from the rig's must leave less than this share of the squares.
 const FAR_BETTER: f64 = 0.25;
 const ITERATIONS: usize = 12;
-/// What is said: more standard deviations than this, and more than a degree.
+/// What is said: more standard deviations than this.
 const SIGMAS: f64 = 4.0;
-const LEAST_OFF_RAD: f64 = 0.017_453;
 
 /// By how much the rotation of the LiDAR on the IMU is off.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,32 +31,15 @@ pub(super) struct RotationOff {
     pub sigma_rad: f64,
 }
 
-/// One span of the walk.
-#[derive(Clone, Copy, Debug)]
-struct Span {
-    by_gyro: Vector3<f64>,
-    by_scans: Vector3<f64>,
-    duration_s: f64,
-}
-
-/// What is off, where it is off for certain; of the poses that scans have without the gyroscope's help.
-pub(super) fn rotation_off(
-    by_scans: &[StampedPose],
-    samples: &[Stamped<ImuSample>],
-) -> Option<RotationOff> {
-    let start = samples.first()?.time;
-    let gyro = IntegratedGyro::new(samples.iter().map(|s| {
-        let rate = Vector3::from(s.sample.angular_velocity_rad_s);
-        (s.time.secs_since(start), rate)
-    }));
-    let spans = spans(by_scans, &gyro, start);
-    if spans.len() < MIN_SPANS {
+/// What is off, where it is off for certain and by more than `least_rad`; of the poses that scans have without the gyroscope's help.
+pub(super) fn rotation_off(turns: &[Turn], least_rad: f64) -> Option<RotationOff> {
+    if turns.len() < MIN_SPANS {
         return None;
     }
-    let (mut rotation, mut bias) = (start_rotation(&spans), Vector3::zeros());
+    let (mut rotation, mut bias) = (start_rotation(turns), Vector3::zeros());
     let mut information = None;
     for _ in 0..ITERATIONS {
-        let equations = equations(&spans, &rotation, &bias);
+        let equations = equations(turns, &rotation, &bias);
         let step = equations.step()?;
         rotation = so3::retract(&rotation, &step.fixed_rows::<3>(0).into());
         bias += step.fixed_rows::<3>(3);
@@ -74,13 +51,13 @@ pub(super) fn rotation_off(
     let along = off.try_normalize(1e-9)?;
     let of_rotation: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into();
     let sigma_rad = along.dot(&(of_rotation * along)).max(0.0).sqrt();
-    (off_rad > LEAST_OFF_RAD.max(SIGMAS * sigma_rad)).then_some(RotationOff { off_rad, sigma_rad })
+    (off_rad > least_rad.max(SIGMAS * sigma_rad)).then_some(RotationOff { off_rad, sigma_rad })
 }
 
 /// The rotation from which to search: that of the rig, unless another by far fits better, as where clouds are in another frame than the rig
 /// says. That which turns the scans' turns best into the gyroscope's (Wahba's problem).
-fn start_rotation(spans: &[Span]) -> UnitQuaternion<f64> {
-    let sum: Matrix3<f64> = spans
+fn start_rotation(turns: &[Turn]) -> UnitQuaternion<f64> {
+    let sum: Matrix3<f64> = turns
         .iter()
         .map(|s| s.by_gyro * s.by_scans.transpose())
         .sum();
@@ -91,7 +68,7 @@ fn start_rotation(spans: &[Span]) -> UnitQuaternion<f64> {
     let sign = (u * v_t).determinant().signum();
     let best = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
     let left = |rotation: &Matrix3<f64>| -> f64 {
-        let each = spans.iter();
+        let each = turns.iter();
         each.map(|s| (s.by_gyro - rotation * s.by_scans).norm_squared())
             .sum()
     };
@@ -102,68 +79,32 @@ fn start_rotation(spans: &[Span]) -> UnitQuaternion<f64> {
     }
 }
 
-fn spans(by_scans: &[StampedPose], gyro: &IntegratedGyro, start: Timestamp) -> Vec<Span> {
-    let mut spans = Vec::new();
-    let mut from: Option<&StampedPose> = None;
-    for pose in by_scans {
-        let Some(begin) = from else {
-            from = Some(pose);
-            continue;
-        };
-        let duration_s = pose.time.secs_since(begin.time);
-        if duration_s < *SPAN_S.start() {
-            continue;
-        }
-        from = Some(pose);
-        let at_s = |pose: &StampedPose| pose.time.secs_since(start);
-        let rate = gyro.mean_rate(at_s(begin), at_s(pose));
-        if let Some(rate) = rate.filter(|_| SPAN_S.contains(&duration_s)) {
-            let turned = so3::local(
-                &begin.world_from_rig.rotation,
-                &pose.world_from_rig.rotation,
-            );
-            spans.push(Span {
-                by_gyro: rate * duration_s,
-                by_scans: turned,
-                duration_s,
-            });
-        }
-    }
-    spans
-}
-
 /// At a rotation and a bias, weighted by how the spans scatter; those that do not fit lose their weight (Cauchy).
 fn equations(
-    spans: &[Span],
+    turns: &[Turn],
     rotation: &UnitQuaternion<f64>,
     bias: &Vector3<f64>,
 ) -> NormalEquations<6> {
-    let residual = |s: &Span| s.by_gyro - rotation * s.by_scans - bias * s.duration_s;
-    let sizes = spans.iter().flat_map(|s| {
-        let r = residual(s);
-        [r.x.abs(), r.y.abs(), r.z.abs()]
-    });
-    // 1.4826: from the median to the standard deviation of what is normal.
-    let sigma = 1.4826 * median(sizes.collect()).unwrap_or(0.0);
-    let sigma = sigma.max(LEAST_SIGMA_RAD);
+    let residual = |s: &Turn| s.by_gyro - rotation * s.by_scans - bias * s.duration_s;
+    let residuals: Vec<_> = turns.iter().map(residual).collect();
+    let sigma = scatter(&residuals).max(LEAST_SIGMA_RAD);
     let mut equations = NormalEquations::default();
-    for span in spans {
-        let r = residual(span);
+    for (turn, r) in turns.iter().zip(&residuals) {
         let mut jacobian = Matrix3x6::zeros();
-        let by_rotation = rotation.to_rotation_matrix() * so3::hat(&span.by_scans);
+        let by_rotation = rotation.to_rotation_matrix() * so3::hat(&turn.by_scans);
         jacobian
             .fixed_view_mut::<3, 3>(0, 0)
             .copy_from(&by_rotation);
         jacobian
             .fixed_view_mut::<3, 3>(0, 3)
-            .copy_from(&(-Matrix3::identity() * span.duration_s));
+            .copy_from(&(-Matrix3::identity() * turn.duration_s));
         let weight = 1.0 / (sigma * sigma + r.norm_squared() / 9.0);
-        equations.add_block(&r, &jacobian, weight);
+        equations.add_block(r, &jacobian, weight);
     }
     let off = so3::log(rotation);
     let deviation = Vector6::new(off.x, off.y, off.z, bias.x, bias.y, bias.z);
     let (r, b) = (PRIOR_RAD.powi(-2), PRIOR_RAD_S.powi(-2));
     let prior = Vector6::new(r, r, r, b, b, b);
-    equations.add_prior(&deviation, &lsfb_geometry::Matrix6::from_diagonal(&prior));
+    equations.add_prior(&deviation, &Matrix6::from_diagonal(&prior));
     equations
 }
