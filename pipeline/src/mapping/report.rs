@@ -4,6 +4,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::camera_error::CameraError;
+use super::scan_check::ScanOffsets;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 use crate::surface::Agreement;
@@ -56,6 +57,9 @@ pub struct MappingReport {
     /// How well all scans agree at the poses of the map; absent without a LiDAR.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
+    /// How far scans lie from the surfaces of keyframes that they had no part in; absent without a LiDAR.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan_offsets: Option<ScanOffsets>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -77,6 +81,7 @@ impl MappingReport {
         of_odometry
             .chain(own)
             .chain(of_scans)
+            .chain(self.scan_offsets.iter().map(ScanOffsets::finding))
             .chain(of_cameras)
             .collect()
     }
