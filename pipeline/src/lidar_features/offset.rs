@@ -16,6 +16,8 @@ const LEAST_POINTS: usize = 200;
 const LEAST_SHARE: f64 = 0.2;
 /// More points tell nothing new.
 const MOST_POINTS: usize = 2_000;
+/// What lies farther off counts as if it lay here, metres: a turn that nobody notices in a room moves what is seen across a park by centimetres.
+const NEAR_M: f64 = 8.0;
 /// Steps at most, and the last that matters, radians and metres.
 const MOST_STEPS: u32 = 8;
 const SETTLED: f64 = 2e-4;
@@ -28,7 +30,7 @@ const SHIFT_SIGMA_M: f64 = 0.1;
 pub struct ScanOffset {
     /// What takes the scan to where it fits, in its own frame.
     pub correction: Se3,
-    /// How far that moves its points on average, metres.
+    /// How far that moves its points on average, those farther than 8 m brought to 8 m, metres.
     pub moved_m: f64,
 }
 
@@ -63,7 +65,8 @@ impl LidarFeatures {
                 derivative.fixed_rows_mut::<3>(3).copy_from(&normal);
                 let weight = (SCALE_M.powi(2) + off_m * off_m).recip();
                 equations.add(off_m, &derivative, weight);
-                sum_m += (correction * *point - point).norm();
+                let near = *point * (NEAR_M / point.norm()).min(1.0);
+                sum_m += (correction * near - near).norm();
                 met += 1;
             }
             if met < LEAST_POINTS || (met as f64) < LEAST_SHARE * asked as f64 {

@@ -46,7 +46,36 @@ impl Keyframes {
             keyframe.world_from_rig = pose.world_from_rig;
         }
     }
+
+    /// Makes keyframes without images of those moments that no image is near to: their scans lead over the hole.
+    fn bridge(&mut self, moments: &[Timestamp], trajectory: &Trajectory) {
+        let times: Vec<Timestamp> = self.frames.iter().map(|k| k.time).collect();
+        let has_image = |moment: &Timestamp| {
+            let next = times.partition_point(|time| time < moment);
+            let near = times[next.saturating_sub(1)..].iter().take(2);
+            let mut secs = near.map(|time| time.secs_since(*moment).abs());
+            secs.any(|secs| secs <= IMAGE_NEAR_S)
+        };
+        let bare = moments.iter().filter(|moment| !has_image(moment));
+        let bare = bare.filter_map(|moment| {
+            Some(Keyframe {
+                time: *moment,
+                world_from_rig: trajectory.at(*moment)?,
+                lidar: None,
+            })
+        });
+        let bare: Vec<Keyframe> = bare.collect();
+        self.frames.extend(bare);
+        self.frames.sort_by_key(|k| k.time);
+        for image in &mut self.images {
+            let time = times[image.keyframe];
+            image.keyframe = self.frames.partition_point(|k| k.time < time);
+        }
+    }
 }
+
+/// Of cameras at 2 Hz and more every moment is so near to an image, seconds.
+const IMAGE_NEAR_S: f64 = 0.25;
 
 /// Offsets of clocks that differ by less are one, seconds: somebody who turns by 60° a second moves a wide image by 0.2 px in that time.
 const ONE_CLOCK_S: f64 = 5e-4;
@@ -151,7 +180,8 @@ pub(super) fn choose_keyframes(
         }
         Ok(())
     };
-    let offsets_ns = clock_offsets_ns(&recording.rig()?, cameras);
+    let rig = recording.rig()?;
+    let offsets_ns = clock_offsets_ns(&rig, cameras);
     for item in recording.images_of(&names)? {
         let Some(mut item) = damages.keep(item) else {
             continue;
@@ -170,7 +200,11 @@ pub(super) fn choose_keyframes(
         picker.finish(&moments, camera, &mut waiting);
     }
     detect(&mut waiting)?;
-    Ok(assemble(found, cameras, trajectory))
+    let mut keyframes = assemble(found, cameras, trajectory);
+    if rig.lidar().is_some() && !keyframes.images.is_empty() {
+        keyframes.bridge(&moments, trajectory);
+    }
+    Ok(keyframes)
 }
 
 fn assemble(
@@ -293,6 +327,24 @@ mod tests {
         let times: Vec<Timestamp> = picked.iter().map(|p| p.image.time).collect();
         assert_eq!(times.first(), Some(&ms(200)));
         assert_eq!(times.last(), Some(&ms(9800)));
+        // Where three metres have no image, scans make keyframes.
+        let found = times
+            .iter()
+            .filter(|time| **time < ms(3000) || **time > ms(7000))
+            .map(|time| ((*time, 0), Features::default()));
+        let mut keyframes = assemble(found.collect(), &["cam0".to_owned()], &trajectory);
+        let images = keyframes.images.len();
+        keyframes.bridge(&moments, &trajectory);
+        let bare = keyframes.frames.len() - images;
+        assert!(bare > 5, "{bare}");
+        for pair in keyframes.frames.windows(2) {
+            let moved = pair[1].world_from_rig.translation - pair[0].world_from_rig.translation;
+            assert!(pair[1].time > pair[0].time && moved.norm() < 0.6);
+        }
+        let of_images = keyframes.images.iter().map(|i| i.keyframe);
+        let of_images: Vec<Timestamp> = of_images.map(|k| keyframes.frames[k].time).collect();
+        assert!(of_images.iter().all(|time| times.contains(time)));
+        assert_eq!(of_images.len(), images);
         let place = |time: &Timestamp| {
             let pose = trajectory.at(*time).expect("within");
             pose.translation.x

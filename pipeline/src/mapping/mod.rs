@@ -12,6 +12,7 @@ mod report;
 mod reprojection_errors;
 mod rig_check;
 mod scan_check;
+mod scan_offsets;
 mod scan_pairs;
 mod weights;
 
@@ -47,8 +48,8 @@ use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
 use rig_check::{Checked, ShownCameras, camera_errors};
-pub use scan_check::ScanOffsets;
-use scan_check::scan_offsets;
+use scan_check::offsets_of_scans;
+pub use scan_offsets::ScanOffsets;
 use scan_pairs::{scan_correspondences, scan_pairs};
 use weights::{Contradicted, Weights, lidar_residuals};
 
@@ -213,7 +214,7 @@ pub fn build_map_in_stages(
         report.scan_offsets = stages.once("scan-offsets", || {
             keyframes.place(&poses);
             let frames = &mut keyframes.frames;
-            scan_offsets(recording, lidar, frames, &trajectory, config, progress)
+            offsets_of_scans(recording, lidar, frames, &trajectory, config, progress)
         })?;
     }
     report

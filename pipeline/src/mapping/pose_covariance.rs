@@ -20,11 +20,10 @@ use crate::Error;
 use crate::hd_map::MapPoint;
 
 /// Standard deviation of a point beside its observations, as a multiple of how near it is to the nearest of its cameras: so loose that it says nothing, and
-/// a point whose rays are parallel is not undetermined. A length in metres would not do for both: a point a centimetre before a lens is known to micrometres
-/// across its ray.
+/// a point whose rays are parallel is not undetermined.
 const POINT_SIGMA_PER_DEPTH: f64 = 30.0;
-/// Nothing is nearer, metres.
-const LEAST_DEPTH_M: f64 = 1e-3;
+/// What stands nearer before a lens is a wrong match, metres: it would count as a measurement of micrometres.
+const LEAST_DEPTH_M: f64 = 0.1;
 
 /// What a keyframe is off by against its own scans and images, 1 σ: metres and radians along each axis per metre by which distances from planes
 /// scatter. Chosen on four simulated walks (stairs 1, medium office 4, wide corridor 2, atrium 3; `docs/figures.md` has others).
@@ -40,13 +39,17 @@ pub(super) fn pose_covariances(
     progress: ProgressFn<'_>,
 ) -> Result<Result<Vec<Matrix6<f64>>, MappingWarning>, Error> {
     let terms = &checked.terms;
+    let in_view = points
+        .iter()
+        .filter(|p| depth_m(checked, p) > LEAST_DEPTH_M);
+    let points: Vec<MapPoint> = in_view.cloned().collect();
     let Equation {
         mut problem,
         poses,
         points: blocks,
-    } = equation(checked.rig, checked.keyframes, points, terms, config)?;
+    } = equation(checked.rig, checked.keyframes, &points, terms, config)?;
     for (point, block) in points.iter().zip(&blocks) {
-        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point).max(LEAST_DEPTH_M);
+        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point);
         let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
         problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
     }
@@ -61,8 +64,9 @@ pub(super) fn pose_covariances(
         .map_err(Error::from)
     });
     let found = match found {
-        Err(Error::Solver(lsfb_solver::Error::Undetermined { .. })) => {
-            return Ok(Err(MappingWarning::PosesUndetermined));
+        Err(Error::Solver(error @ lsfb_solver::Error::Undetermined { .. })) => {
+            let reason = error.to_string();
+            return Ok(Err(MappingWarning::PosesUndetermined { reason }));
         }
         found => found?,
     };
