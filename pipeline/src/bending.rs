@@ -2,8 +2,19 @@
 
 use lsfb_geometry::{Se3, StampedPose};
 
+/// What a pose drifts by while it stands still, as if it walked so fast, m/s.
+const STANDING_M_S: f64 = 0.02;
+
+/// How far a trajectory went from one pose to another, metres, as far as its errors grow with that: a turn by a radian counts as a metre.
+fn way_m(from: &StampedPose, to: &StampedPose) -> f64 {
+    let moved = from.world_from_rig.inverse() * to.world_from_rig;
+    let secs = to.time.secs_since(from.time);
+    moved.translation.norm() + moved.rotation.angle() + STANDING_M_S * secs
+}
+
 /// A pose of a trajectory of which some poses (`before`, in order of time) are now `after`: it follows the one before it and the one
-/// behind it, each with the trajectory's own motion from it, in proportion to time.
+/// behind it, each with the trajectory's own motion from it, in proportion to the way from them. Its errors grow with that, not with time: somebody who
+/// stands and then walks stays where he stood.
 pub(crate) fn bent(pose: &StampedPose, before: &[StampedPose], after: &[Se3]) -> Se3 {
     let from = |k: usize| {
         let (before, after) = (before.get(k)?, after.get(k)?);
@@ -13,11 +24,36 @@ pub(crate) fn bent(pose: &StampedPose, before: &[StampedPose], after: &[Se3]) ->
     let previous = next.checked_sub(1);
     match (previous.and_then(from), from(next)) {
         (Some(a), Some(b)) => {
-            let start = before[next - 1].time;
-            let fraction = pose.time.secs_since(start) / before[next].time.secs_since(start);
-            a.interpolate(&b, fraction)
+            let (gone_m, left_m) = (way_m(&before[next - 1], pose), way_m(pose, &before[next]));
+            a.interpolate(&b, gone_m / (gone_m + left_m))
         }
         (Some(only), None) | (None, Some(only)) => only,
         (None, None) => pose.world_from_rig,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::Vector3;
+    use lsfb_types::Timestamp;
+
+    use super::*;
+
+    /// 4 s on one spot, then half a metre that is told a tenth too long.
+    #[test]
+    fn who_stands_stays_where_he_stood() {
+        let at = |ms: i64, x_m: f64| StampedPose {
+            time: Timestamp::from_nanos(ms * 1_000_000),
+            world_from_rig: Se3::new(Default::default(), Vector3::x() * x_m),
+        };
+        let before = [at(0, 0.0), at(4500, 0.55)];
+        let after = [0.0, 0.5].map(|x| Se3::new(Default::default(), Vector3::x() * x));
+        let x_m = |pose: StampedPose| bent(&pose, &before, &after).translation.x;
+        assert!(x_m(at(3900, 0.0)).abs() < 0.008);
+        assert!((x_m(at(4250, 0.275)) - 0.25).abs() < 0.004);
+        // Through the corrected poses.
+        assert!(x_m(at(0, 0.0)).abs() < 1e-12);
+        assert!((x_m(at(4500, 0.55)) - 0.5).abs() < 1e-12);
+        assert!((x_m(at(5000, 0.66)) - 0.61).abs() < 1e-12);
     }
 }

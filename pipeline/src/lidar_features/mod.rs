@@ -8,12 +8,16 @@
 //! A keyframe joins the scans around it: indoors one or two rings of a single scan meet the floor, and lines on the floor
 //! are no plane.
 
+mod offset;
+
 use lsfb_geometry::{Matrix3, Se3, Vector3};
 use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, PlaneMap, voxel_downsample};
 use lsfb_perception::statistics::median;
 use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
+
+pub use offset::ScanOffset;
 
 /// What counts as a feature, and as a correspondence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -142,3 +142,33 @@ fn eq4_terms_recover_a_pose_from_wrong_guesses() {
         assert!(error.fixed_rows::<3>(3).norm() < 0.01, "{error}");
     }
 }
+
+/// A scan that is put two centimetres and half a degree off is found to be, by a keyframe two seconds away; one that is where it should be is not.
+#[test]
+fn a_scan_that_lies_off_is_found_to() {
+    let room = Room::furnished();
+    let keyframe = features_at(&room, 2.0);
+    let scan = scan_features(&room, 4.0, &room::lidar(), &LidarFeatureConfig::default());
+    let truth = room::world_from_rig(2.0).inverse() * room::world_from_rig(4.0);
+    for off in [
+        [0.0; 6],
+        [0.0, 0.0, 0.009, 0.02, 0.0, 0.0],
+        [0.004, -0.004, -0.02, -0.05, 0.06, 0.02],
+    ] {
+        let off = Se3::exp(&Vector6::from(off));
+        let found = keyframe
+            .offset_of(&scan, &(truth * off))
+            .expect("the same room");
+        let left = (off * found.correction).log();
+        let (turned, shifted) = (left.fixed_rows::<3>(0), left.fixed_rows::<3>(3));
+        assert!(turned.norm() < 0.002 && shifted.norm() < 0.005, "{left}");
+        let by_hand = off.translation.norm();
+        assert!(
+            found.moved_m > 0.8 * by_hand && found.moved_m < 3.0 * by_hand + 0.006,
+            "{} {by_hand}",
+            found.moved_m
+        );
+    }
+    let elsewhere = Se3::new(Default::default(), Vector3::z() * 40.0);
+    assert_eq!(keyframe.offset_of(&scan, &elsewhere), None);
+}

@@ -4,7 +4,7 @@ use lsfb_geometry::StampedPose;
 
 use super::keyframes::{Keyframe, Keyframes};
 use super::weights::Contradicted;
-use super::{MappingReport, Optimised, Rounds};
+use super::{MappingReport, Optimised, Rounds, ScanOffsets};
 use crate::features::{Features, Keypoint};
 use crate::hd_map::{KeyframeImage, MapPoint, PointObservation};
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
@@ -19,6 +19,7 @@ keep_fields! {
     Optimised { poses, points, covariances, refined }
     Contradicted { rotation, translation }
     Agreement { on_planes, beams, contradicted }
+    ScanOffsets { scans, median_m, worst_m, worst_after_secs, turn_deg, shift_m }
     Rounds { done, poses, matched, contradicted, told }
 }
 

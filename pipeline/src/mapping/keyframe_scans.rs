@@ -52,10 +52,49 @@ pub(super) fn add_lidar_features(
 }
 
 /// A scan deskewed to its middle.
-struct MiddleScan {
-    time: Timestamp,
-    world_from_rig: Se3,
-    features: ScanFeatures,
+pub(super) struct MiddleScan {
+    pub time: Timestamp,
+    pub world_from_rig: Se3,
+    pub features: ScanFeatures,
+}
+
+/// `None` outside the trajectory.
+pub(super) fn deskewed(
+    scan: &Stamped<LidarScan>,
+    lidar: &RigLidar,
+    trajectory: &Trajectory,
+    config: &MappingConfig,
+) -> Option<MiddleScan> {
+    let last = scan.sample.points.last().map_or(0, |p| p.time_offset_ns);
+    let time = scan.time.plus_nanos(i64::from(last / 2));
+    let world_from_rig = trajectory.at(time)?;
+    let rig_from_world = world_from_rig.inverse();
+    let knots: Vec<MotionKnot> = (0..=SCAN_KNOTS)
+        .filter_map(|i| {
+            let offset_ns = i * KNOT_NS;
+            let pose = trajectory.at(scan.time.plus_nanos(offset_ns))?;
+            Some(MotionKnot {
+                offset_ns,
+                reference_from_rig: rig_from_world * pose,
+            })
+        })
+        .collect();
+    let window = RangeWindow {
+        min_m: config.odometry.min_range_m,
+        max_m: config.odometry.max_range_m,
+    };
+    let rig_from_lidar = &lidar.rig_from_lidar;
+    let rings = deskew_rings(&scan.sample, rig_from_lidar, &knots, window);
+    Some(MiddleScan {
+        time,
+        world_from_rig,
+        features: ScanFeatures::extract(
+            &rings,
+            &rig_from_lidar.translation,
+            lidar.range_noise_m,
+            &config.lidar_features,
+        ),
+    })
 }
 
 /// The scans that keyframes still to come may need.
@@ -73,44 +112,12 @@ impl ScanWindow<'_> {
     }
 
     fn extract(&mut self, waiting: &mut Vec<Stamped<LidarScan>>) {
-        let scans: Vec<Option<MiddleScan>> =
-            waiting.par_iter().map(|scan| self.deskewed(scan)).collect();
+        let scans: Vec<Option<MiddleScan>> = waiting
+            .par_iter()
+            .map(|scan| deskewed(scan, self.lidar, self.trajectory, self.config))
+            .collect();
         self.scans.extend(scans.into_iter().flatten());
         waiting.clear();
-    }
-
-    /// `None` outside the trajectory.
-    fn deskewed(&self, scan: &Stamped<LidarScan>) -> Option<MiddleScan> {
-        let last = scan.sample.points.last().map_or(0, |p| p.time_offset_ns);
-        let time = scan.time.plus_nanos(i64::from(last / 2));
-        let world_from_rig = self.trajectory.at(time)?;
-        let rig_from_world = world_from_rig.inverse();
-        let knots: Vec<MotionKnot> = (0..=SCAN_KNOTS)
-            .filter_map(|i| {
-                let offset_ns = i * KNOT_NS;
-                let pose = self.trajectory.at(scan.time.plus_nanos(offset_ns))?;
-                Some(MotionKnot {
-                    offset_ns,
-                    reference_from_rig: rig_from_world * pose,
-                })
-            })
-            .collect();
-        let window = RangeWindow {
-            min_m: self.config.odometry.min_range_m,
-            max_m: self.config.odometry.max_range_m,
-        };
-        let rig_from_lidar = &self.lidar.rig_from_lidar;
-        let rings = deskew_rings(&scan.sample, rig_from_lidar, &knots, window);
-        Some(MiddleScan {
-            time,
-            world_from_rig,
-            features: ScanFeatures::extract(
-                &rings,
-                &rig_from_lidar.translation,
-                self.lidar.range_noise_m,
-                &self.config.lidar_features,
-            ),
-        })
     }
 
     /// Joins the keyframes whose scans have all come.

@@ -46,10 +46,37 @@ impl Keyframes {
             keyframe.world_from_rig = pose.world_from_rig;
         }
     }
+
+    /// Makes keyframes without images of those moments that no image is near to: their scans lead over the hole.
+    fn bridge(&mut self, moments: &[Timestamp], trajectory: &Trajectory) {
+        let times: Vec<Timestamp> = self.frames.iter().map(|k| k.time).collect();
+        let has_image = |moment: &Timestamp| {
+            let next = times.partition_point(|time| time < moment);
+            let near = times[next.saturating_sub(1)..].iter().take(2);
+            let mut secs = near.map(|time| time.secs_since(*moment).abs());
+            secs.any(|secs| secs <= IMAGE_NEAR_S)
+        };
+        let bare = moments.iter().filter(|moment| !has_image(moment));
+        let bare = bare.filter_map(|moment| {
+            Some(Keyframe {
+                time: *moment,
+                world_from_rig: trajectory.at(*moment)?,
+                lidar: None,
+            })
+        });
+        let bare: Vec<Keyframe> = bare.collect();
+        self.frames.extend(bare);
+        self.frames.sort_by_key(|k| k.time);
+        for image in &mut self.images {
+            let time = times[image.keyframe];
+            image.keyframe = self.frames.partition_point(|k| k.time < time);
+        }
+    }
 }
 
-/// Farthest image from the moment wanted, nanoseconds.
-const IMAGE_TOLERANCE_NS: i64 = 60_000_000;
+/// Of cameras at 2 Hz and more every moment is so near to an image, seconds.
+const IMAGE_NEAR_S: f64 = 0.25;
+
 /// Offsets of clocks that differ by less are one, seconds: somebody who turns by 60° a second moves a wide image by 0.2 px in that time.
 const ONE_CLOCK_S: f64 = 5e-4;
 /// Images detected at once: bounds the memory.
@@ -80,7 +107,8 @@ pub(super) fn find_cameras(
     Ok(names)
 }
 
-/// Moments on the trajectory at least a distance or an angle apart.
+/// Moments on the trajectory at least a distance or an angle apart, its first and its last among them: before the first keyframe and behind the last one
+/// nothing would mend it.
 fn moments(trajectory: &Trajectory, distance_m: f64, angle_rad: f64) -> Vec<Timestamp> {
     let mut moments = Vec::new();
     let mut last: Option<Se3> = None;
@@ -94,6 +122,8 @@ fn moments(trajectory: &Trajectory, distance_m: f64, angle_rad: f64) -> Vec<Time
             last = Some(pose.world_from_rig);
         }
     }
+    let end = trajectory.poses().last().map(|pose| pose.time);
+    moments.extend(end.filter(|end| moments.last() != Some(end)));
     moments
 }
 
@@ -150,7 +180,8 @@ pub(super) fn choose_keyframes(
         }
         Ok(())
     };
-    let offsets_ns = clock_offsets_ns(&recording.rig()?, cameras);
+    let rig = recording.rig()?;
+    let offsets_ns = clock_offsets_ns(&rig, cameras);
     for item in recording.images_of(&names)? {
         let Some(mut item) = damages.keep(item) else {
             continue;
@@ -169,7 +200,11 @@ pub(super) fn choose_keyframes(
         picker.finish(&moments, camera, &mut waiting);
     }
     detect(&mut waiting)?;
-    Ok(assemble(found, cameras, trajectory))
+    let mut keyframes = assemble(found, cameras, trajectory);
+    if rig.lidar().is_some() && !keyframes.images.is_empty() {
+        keyframes.bridge(&moments, trajectory);
+    }
+    Ok(keyframes)
 }
 
 fn assemble(
@@ -207,7 +242,8 @@ struct Picked {
     image: Stamped<Image>,
 }
 
-/// Finds the image nearest to each moment in one camera's stream.
+/// Finds the image nearest to each moment in one camera's stream, however far it is: images have the poses of their own times, and a moment that none were
+/// taken for would leave a hole that the start alone bridges.
 #[derive(Clone, Default)]
 struct Picker {
     next: usize,
@@ -230,29 +266,92 @@ impl Picker {
                 _ => &image,
             };
             let nearest = nearest.clone();
-            self.pick(*moment, camera, nearest, out);
+            self.pick(camera, nearest, out);
         }
         self.previous = Some(image);
     }
 
     fn finish(mut self, moments: &[Timestamp], camera: usize, out: &mut Vec<Picked>) {
-        if let (Some(moment), Some(last)) = (moments.get(self.next), self.previous.take()) {
-            self.pick(*moment, camera, last, out);
+        if let (true, Some(last)) = (self.next < moments.len(), self.previous.take()) {
+            self.pick(camera, last, out);
         }
     }
 
-    fn pick(
-        &mut self,
-        moment: Timestamp,
-        camera: usize,
-        image: Stamped<Image>,
-        out: &mut Vec<Picked>,
-    ) {
+    fn pick(&mut self, camera: usize, image: Stamped<Image>, out: &mut Vec<Picked>) {
         // Where moments are denser than images an image serves once.
-        if (image.time - moment).abs() <= IMAGE_TOLERANCE_NS && self.used != Some(image.time) {
+        if self.used != Some(image.time) {
             self.used = Some(image.time);
             out.push(Picked { camera, image });
         }
         self.next += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::Vector3;
+
+    use super::*;
+
+    /// Images at 5 Hz are up to a tenth of a second from any moment: somebody who stands, walks and stands gets keyframes all the way.
+    #[test]
+    fn rare_images_leave_no_hole() {
+        let ms = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+        let pose = |k: i64| StampedPose {
+            time: ms(10 * k + 3),
+            world_from_rig: Se3::new(
+                Default::default(),
+                Vector3::x() * (0.008 * (k - 200).clamp(0, 600) as f64),
+            ),
+        };
+        let trajectory = Trajectory::new((0..1000).map(pose).collect());
+        let moments = moments(&trajectory, 0.35, 0.5);
+        assert_eq!(moments.last(), Some(&ms(9993)));
+        let (mut picker, mut picked) = (Picker::default(), Vec::new());
+        let image = |k: i64| Stamped {
+            time: ms(200 * k),
+            arrival: ms(200 * k),
+            device_ticks: 0,
+            sample: Image {
+                width: 1,
+                height: 1,
+                pixels: vec![0],
+                exposure_ns: 0,
+                frame_id: 0,
+            },
+        };
+        for k in 1..50 {
+            picker.offer(&moments, 0, image(k), &mut picked);
+        }
+        picker.finish(&moments, 0, &mut picked);
+        let times: Vec<Timestamp> = picked.iter().map(|p| p.image.time).collect();
+        assert_eq!(times.first(), Some(&ms(200)));
+        assert_eq!(times.last(), Some(&ms(9800)));
+        // Where three metres have no image, scans make keyframes.
+        let found = times
+            .iter()
+            .filter(|time| **time < ms(3000) || **time > ms(7000))
+            .map(|time| ((*time, 0), Features::default()));
+        let mut keyframes = assemble(found.collect(), &["cam0".to_owned()], &trajectory);
+        let images = keyframes.images.len();
+        keyframes.bridge(&moments, &trajectory);
+        let bare = keyframes.frames.len() - images;
+        assert!(bare > 5, "{bare}");
+        for pair in keyframes.frames.windows(2) {
+            let moved = pair[1].world_from_rig.translation - pair[0].world_from_rig.translation;
+            assert!(pair[1].time > pair[0].time && moved.norm() < 0.6);
+        }
+        let of_images = keyframes.images.iter().map(|i| i.keyframe);
+        let of_images: Vec<Timestamp> = of_images.map(|k| keyframes.frames[k].time).collect();
+        assert!(of_images.iter().all(|time| times.contains(time)));
+        assert_eq!(of_images.len(), images);
+        let place = |time: &Timestamp| {
+            let pose = trajectory.at(*time).expect("within");
+            pose.translation.x
+        };
+        for pair in times.windows(2) {
+            let apart = place(&pair[1]) - place(&pair[0]);
+            assert!(pair[1] > pair[0] && apart < 0.6, "{apart} m");
+        }
     }
 }

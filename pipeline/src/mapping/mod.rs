@@ -11,6 +11,8 @@ mod pose_covariance;
 mod report;
 mod reprojection_errors;
 mod rig_check;
+mod scan_check;
+mod scan_offsets;
 mod scan_pairs;
 mod weights;
 
@@ -46,6 +48,8 @@ use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
 use rig_check::{Checked, ShownCameras, camera_errors};
+use scan_check::offsets_of_scans;
+pub use scan_offsets::ScanOffsets;
 use scan_pairs::{scan_correspondences, scan_pairs};
 use weights::{Contradicted, Weights, lidar_residuals};
 
@@ -206,6 +210,13 @@ pub fn build_map_in_stages(
         look_at_scans(recording, &rig, &trajectory, config, progress)
     })?;
     report.agreement = agreement;
+    if let Some(lidar) = rig.lidar() {
+        report.scan_offsets = stages.once("scan-offsets", || {
+            keyframes.place(&poses);
+            let frames = &mut keyframes.frames;
+            offsets_of_scans(recording, lidar, frames, &trajectory, config, progress)
+        })?;
+    }
     report
         .warnings
         .extend(gap.map(|(after_secs, secs)| MappingWarning::ScanGap { after_secs, secs }));

@@ -12,15 +12,18 @@ use lsfb_solver::{BlockId, Kernel, VectorPrior, covariance_of_groups};
 use lsfb_types::{Progress, ProgressFn};
 
 use super::adjustment::{Equation, equation};
+use super::keyframes::Keyframes;
 use super::rig_check::Checked;
 use super::weights::lidar_residuals;
 use super::{MappingConfig, MappingWarning};
 use crate::Error;
 use crate::hd_map::MapPoint;
 
-/// Standard deviation of a point beside its observations, metres: so loose that it says nothing, and a point whose rays are parallel is not
-/// undetermined.
-const POINT_SIGMA_M: f64 = 100.0;
+/// Standard deviation of a point beside its observations, as a multiple of how near it is to the nearest of its cameras: so loose that it says nothing, and
+/// a point whose rays are parallel is not undetermined.
+const POINT_SIGMA_PER_DEPTH: f64 = 30.0;
+/// What stands nearer before a lens is a wrong match, metres: it would count as a measurement of micrometres.
+const LEAST_DEPTH_M: f64 = 0.1;
 
 /// What a keyframe is off by against its own scans and images, 1 σ: metres and radians along each axis per metre by which distances from planes
 /// scatter. Chosen on four simulated walks (stairs 1, medium office 4, wide corridor 2, atrium 3; `docs/figures.md` has others).
@@ -36,13 +39,18 @@ pub(super) fn pose_covariances(
     progress: ProgressFn<'_>,
 ) -> Result<Result<Vec<Matrix6<f64>>, MappingWarning>, Error> {
     let terms = &checked.terms;
+    let in_view = points
+        .iter()
+        .filter(|p| depth_m(checked, p) > LEAST_DEPTH_M);
+    let points: Vec<MapPoint> = in_view.cloned().collect();
     let Equation {
         mut problem,
         poses,
         points: blocks,
-    } = equation(checked.rig, checked.keyframes, points, terms, config)?;
+    } = equation(checked.rig, checked.keyframes, &points, terms, config)?;
     for (point, block) in points.iter().zip(&blocks) {
-        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(POINT_SIGMA_M));
+        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point);
+        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
         problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
     }
     let groups: Vec<Vec<BlockId>> = poses.iter().skip(1).map(|pose| vec![pose.id()]).collect();
@@ -56,8 +64,9 @@ pub(super) fn pose_covariances(
         .map_err(Error::from)
     });
     let found = match found {
-        Err(Error::Solver(lsfb_solver::Error::Undetermined { .. })) => {
-            return Ok(Err(MappingWarning::PosesUndetermined));
+        Err(Error::Solver(error @ lsfb_solver::Error::Undetermined { .. })) => {
+            let reason = error.to_string();
+            return Ok(Err(MappingWarning::PosesUndetermined { reason }));
         }
         found => found?,
     };
@@ -74,6 +83,19 @@ pub(super) fn pose_covariances(
         covariances.push((covariance + covariance.transpose()) * 0.5);
     }
     Ok(Ok(covariances))
+}
+
+/// Distance of a point from the nearest camera that sees it.
+fn depth_m(checked: &Checked, point: &MapPoint) -> f64 {
+    let Keyframes { frames, images } = checked.keyframes;
+    let depths = point.observations.iter().filter_map(|o| {
+        let image = images.get(o.image)?;
+        let mounted = checked.rig.cameras.get(&image.camera)?;
+        let world_from_rig = frames.get(image.keyframe)?.world_from_rig;
+        let camera = world_from_rig * mounted.rig_from_camera.translation;
+        Some((camera - point.point_in_world).norm())
+    });
+    depths.fold(f64::INFINITY, f64::min).min(1e6)
 }
 
 fn own_covariance(scatter_m: f64) -> Matrix6<f64> {

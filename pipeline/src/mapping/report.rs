@@ -4,6 +4,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::camera_error::CameraError;
+use super::scan_offsets::ScanOffsets;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 use crate::surface::Agreement;
@@ -56,6 +57,9 @@ pub struct MappingReport {
     /// How well all scans agree at the poses of the map; absent without a LiDAR.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
+    /// How far scans lie from the surfaces of keyframes that they had no part in; absent without a LiDAR.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan_offsets: Option<ScanOffsets>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -77,6 +81,7 @@ impl MappingReport {
         of_odometry
             .chain(own)
             .chain(of_scans)
+            .chain(self.scan_offsets.iter().map(ScanOffsets::finding))
             .chain(of_cameras)
             .collect()
     }
@@ -136,7 +141,7 @@ impl MappingWarning {
     pub(super) fn is_of_adjustment(&self) -> bool {
         matches!(
             self,
-            Self::PosesUndetermined | Self::NotAtRest { .. } | Self::ManyOutliers { .. }
+            Self::PosesUndetermined { .. } | Self::NotAtRest { .. } | Self::ManyOutliers { .. }
         )
     }
 }
@@ -186,7 +191,11 @@ pub enum MappingWarning {
         what: String,
     },
     /// The measurements do not determine all keyframes.
-    PosesUndetermined,
+    PosesUndetermined {
+        /// Which, as the solver says it.
+        #[serde(default)]
+        reason: String,
+    },
     /// For a while there was no scan.
     ScanGap {
         /// When it began, seconds after the first scan.
@@ -276,10 +285,10 @@ impl MappingWarning {
             .limit(Limit::AtMost(BLURRED_SCALE * of_others_px))
             .remedy("check its focus and clean its lens"),
             Self::Damaged { what } => warn("damaged", "", what.clone()),
-            Self::PosesUndetermined => warn(
+            Self::PosesUndetermined { reason } => warn(
                 "poses-undetermined",
                 "",
-                "images and scans do not determine all keyframes, so that nothing is said of how well their poses are known".to_owned(),
+                format!("images and scans do not determine all keyframes, so that nothing is said of how well their poses are known ({reason})"),
             )
             .remedy("map where the LiDAR sees walls on several sides, or with more images"),
             Self::ScanGap { after_secs, secs } => warn(
