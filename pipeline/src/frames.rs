@@ -151,6 +151,16 @@ fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
         .collect()
 }
 
+/// [`read_imu`], or nothing where the recording has no IMU.
+pub(crate) fn read_imu_if_any(
+    recording: &Recording,
+) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
+    match read_imu(recording) {
+        Err(Error::Recording(lsfb_recording::Error::NoSuchTopic { .. })) => Ok((Vec::new(), 0)),
+        read => read,
+    }
+}
+
 /// Inertial samples in order of time, each instant once, and the number of messages that could not be read.
 pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
     let (mut samples, mut damaged) = (Vec::new(), 0);

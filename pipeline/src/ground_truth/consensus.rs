@@ -4,6 +4,8 @@
 //! localized poses fixes that velocity, so that every third one between and after them can be foretold: what arrives there
 //! agrees. Poses that agree, directly or through others, are a consistent set. A place that looks like another makes a set
 //! of its own, however often it is found; poses found by chance make none.
+//!
+//! Without an IMU a body goes on as it did, more or less: only poses that follow one another closely can agree then.
 
 use std::cmp::Reverse;
 
@@ -11,7 +13,8 @@ use lsfb_geometry::{Vector3, so3};
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
-use super::walk::{LocalizedPose, Walk};
+use super::inertial::{ANY_ACCELERATION_M_S2, ANY_TURN_RAD_S, any_motion};
+use super::walk::{FrameState, LocalizedPose, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
@@ -109,9 +112,20 @@ fn foretold(
     }];
     let gravity = standard_gravity_m_s2();
     for (frame, interval) in intervals.iter().enumerate().skip(first) {
-        let Some(interval) = interval else { break };
-        state = interval.predict(&state, &ImuBias::default(), &gravity);
         let next = &walk.frames[frame + 1];
+        let unmeasured = || {
+            let from = FrameState {
+                nav: state,
+                bias: ImuBias::default(),
+            };
+            any_motion(&from, next.time.secs_since(walk.frames[frame].time))
+        };
+        let interval = match interval {
+            Some(interval) => interval,
+            None if walk.has_imu() => break,
+            None => &unmeasured(),
+        };
+        state = interval.predict(&state, &ImuBias::default(), &gravity);
         let after_secs = next.time.secs_since(walk.frames[first].time);
         if after_secs > REACH_SECS || found.len() > PARTNERS {
             break;
@@ -119,20 +133,25 @@ fn foretold(
         let Some(to) = next.localized else { continue };
         let turned = state.world_from_rig.rotation.inverse() * to.world_from_rig.rotation;
         let (sigma, other) = (sigma_rad(&from, config), sigma_rad(&to, config));
-        let drift_rad = config.gyro_bias_sigma_rad_s * after_secs;
+        let (turn_rad_s, bias_m_s2) = match walk.has_imu() {
+            true => (config.gyro_bias_sigma_rad_s, config.accel_bias_sigma_m_s2),
+            false => (ANY_TURN_RAD_S, ANY_ACCELERATION_M_S2),
+        };
+        let drift_rad = turn_rad_s * after_secs;
         if so3::log(&turned).norm() > DEVIATIONS * sigma.hypot(other) + 2.0 * drift_rad {
             continue;
         }
-        // A rotation that is off turns gravity into acceleration.
-        let tilt_rad = sigma + drift_rad;
+        // A rotation that is off turns gravity into what an accelerometer feels.
+        let tilt_rad = match walk.has_imu() {
+            true => sigma + drift_rad,
+            false => 0.0,
+        };
         found.push(Foretold {
             frame: frame + 1,
             after_secs,
             moved_m: to.world_from_rig.translation - state.world_from_rig.translation,
             sigma_m: sigma_m(&to, config),
-            acceleration_sigma_m_s2: config
-                .accel_bias_sigma_m_s2
-                .hypot(gravity.norm() * tilt_rad),
+            acceleration_sigma_m_s2: bias_m_s2.hypot(gravity.norm() * tilt_rad),
         });
     }
     found

@@ -23,7 +23,7 @@ pub struct DenseState {
 
 /// The states of some frames, in order, and of every inertial sample between two that are neighbours in the walk.
 ///
-/// Errors of a few samples between two frames are the IMU's noise over so long; on the whole they are those of the frames.
+/// Of images alone there are the states of the frames. Errors of a few samples between two frames are the IMU's noise over so long; on the whole they are those of the frames.
 pub(super) fn dense_states(
     walk: &Walk,
     solved: &Optimized,
@@ -79,6 +79,14 @@ pub(super) fn dense_states(
 fn at_frame(walk: &Walk, solved: &Optimized, k: usize) -> DenseState {
     let FrameState { nav, bias } = solved.estimate.states[k];
     let time = walk.frames[k].time;
+    if !walk.has_imu() {
+        return DenseState {
+            time,
+            nav,
+            bias,
+            turn_rate_rad_s: solved.estimate.motions[k].turn_rate_rad_s,
+        };
+    }
     let after = walk.imu.partition_point(|s| s.time < time);
     let read = |at: usize| {
         let sample = walk.imu.get(at)?;

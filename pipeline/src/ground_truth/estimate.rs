@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_geometry::{Se3, Vector2, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::walk::{FixedObservation, FrameState, LocalObservation, LocalPoint, Walk};
@@ -25,12 +25,13 @@ pub(super) struct Estimate {
 impl Estimate {
     pub fn new(walk: &Walk, states: Vec<FrameState>, corrections: Vec<CameraCorrection>) -> Self {
         let corrected = walk.cameras.iter().zip(&corrections);
-        let moving = walk.frames.iter().zip(&states);
+        let motions = (0..states.len()).map(|k| match walk.has_imu() {
+            true => motion(&walk.imu, walk.frames[k].time, &states[k]),
+            false => motion_between_frames(walk, &states, k),
+        });
         Self {
             cameras: corrected.map(|(camera, c)| camera.corrected(c)).collect(),
-            motions: moving
-                .map(|(frame, state)| motion(&walk.imu, frame.time, state))
-                .collect(),
+            motions: motions.collect(),
             states,
             corrections,
         }
@@ -135,5 +136,41 @@ fn motion(imu: &[Stamped<ImuSample>], stamp: Timestamp, state: &FrameState) -> F
         rate - state.bias.gyro_rad_s - motion.turn_acceleration_rad_s2 * middle_secs;
     motion.acceleration_m_s2 = state.nav.world_from_rig.rotation * (force - state.bias.accel_m_s2)
         + standard_gravity_m_s2();
+    motion
+}
+
+/// Frames that are farther apart do not say how the rig moved at one of them, seconds.
+const NEIGHBOURS_SECS: f64 = 0.5;
+
+/// Motion at a frame of a walk without an IMU: the parabola through it and its neighbours; with one of them the line.
+fn motion_between_frames(walk: &Walk, states: &[FrameState], frame: usize) -> FrameMotion {
+    let step = |from: usize, to: usize| {
+        let secs = walk.frames[to].time.secs_since(walk.frames[from].time);
+        let (from, to) = (&states[from].nav, &states[to].nav);
+        let turned = from.world_from_rig.rotation.inverse() * to.world_from_rig.rotation;
+        let gained = to.velocity_m_s - from.velocity_m_s;
+        (0.0 < secs && secs <= NEIGHBOURS_SECS).then(|| (secs, so3::log(&turned) / secs, gained))
+    };
+    let before = frame.checked_sub(1).and_then(|k| step(k, frame));
+    let after = (frame + 1 < states.len())
+        .then(|| step(frame, frame + 1))
+        .flatten();
+    let mut motion = FrameMotion {
+        velocity_m_s: states[frame].nav.velocity_m_s,
+        ..FrameMotion::default()
+    };
+    match (before, after) {
+        (Some((a_secs, a, a_gained)), Some((b_secs, b, b_gained))) => {
+            let secs = a_secs + b_secs;
+            motion.turn_rate_rad_s = (a * b_secs + b * a_secs) / secs;
+            motion.turn_acceleration_rad_s2 = (b - a) * (2.0 / secs);
+            motion.acceleration_m_s2 = (a_gained + b_gained) / secs;
+        }
+        (Some((secs, turn_rate, gained)), None) | (None, Some((secs, turn_rate, gained))) => {
+            motion.turn_rate_rad_s = turn_rate;
+            motion.acceleration_m_s2 = gained / secs;
+        }
+        (None, None) => {}
+    }
     motion
 }

@@ -3,7 +3,9 @@
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
+use super::imu_refinement::ImuRefinement;
 use super::in_view::FEWEST_CERTAIN;
+use super::map_agreement::MapAgreement;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
 /// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
@@ -46,6 +48,16 @@ impl GroundTruthWarning {
                     .remedy(remedy)
             }
             Self::CameraOff { found } => found.off(BENDING_SIGMAS),
+            Self::WithoutImu { in_rig } => warn(
+                "without-imu",
+                "IMU",
+                format!(
+                    "the recording has no inertial samples{}: images alone say where the device was; lengths and the vertical are the \
+                     map's, which nothing checks, and no pose is given where too little of it is in view",
+                    if *in_rig { ", though the rig file has an IMU" } else { "" }
+                ),
+            )
+            .remedy("record the IMU with the images"),
             Self::ImuGaps { intervals } => warn(
                 "imu-gaps",
                 "IMU",
@@ -259,8 +271,8 @@ impl GroundTruthReport {
                 }
             },
         ];
-        findings.extend(self.imu.findings());
-        findings.extend(self.map.findings());
+        findings.extend(self.imu.iter().flat_map(ImuRefinement::findings));
+        findings.extend(self.map.iter().flat_map(MapAgreement::findings));
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings

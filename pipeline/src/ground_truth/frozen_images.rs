@@ -12,7 +12,8 @@ use crate::frames::FeatureFrame;
 /// A device at rest turns no faster than this, by its gyroscope's noise and bias, rad/s.
 pub(super) const RESTING_RAD_S: f64 = 0.1;
 
-/// Takes the features from images that repeat the one before while the device turned; returns how many those are.
+/// Takes the features from images that repeat the one before while the device turned; returns how many those are. Without an IMU all that
+/// repeat are taken for such.
 pub(super) fn take_out(frames: &mut [FeatureFrame], imu: &[Stamped<ImuSample>]) -> u64 {
     let cameras = frames.first().map_or(0, |frame| frame.features.len());
     let mut frozen = 0;
@@ -25,7 +26,7 @@ pub(super) fn take_out(frames: &mut [FeatureFrame], imu: &[Stamped<ImuSample>]) 
             }
             match &last {
                 Some((since, features)) if features == here => {
-                    if has_turned(imu, *since, frame.time) {
+                    if imu.is_empty() || has_turned(imu, *since, frame.time) {
                         *here = Features::default();
                         frozen += 1;
                     }

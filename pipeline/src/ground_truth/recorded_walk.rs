@@ -9,14 +9,23 @@ use lsfb_types::{ImuSample, ProgressFn, Stamped};
 use super::{GroundTruthConfig, frozen_images, frozen_samples};
 use crate::Error;
 use crate::features::{Feature, FeatureDetector};
-use crate::frames::{ReadFrames, read_frames, read_imu};
+use crate::frames::{ReadFrames, read_frames, read_imu_if_any};
 use crate::kept_stages::KeptStages;
+
+/// Stands for the noise of an IMU that is not there: nothing is weighed by it.
+const NO_IMU: ImuNoiseModel = ImuNoiseModel {
+    gyro_noise_density: 1e-3,
+    accel_noise_density: 1e-2,
+    gyro_bias_walk: 1e-4,
+    accel_bias_walk: 1e-3,
+};
 
 /// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
 pub struct RecordedWalk {
     pub(super) path: PathBuf,
     pub(super) rig: Rig,
     pub(super) noise: ImuNoiseModel,
+    /// None of a walk of images alone.
     pub(super) imu: Vec<Stamped<ImuSample>>,
     pub(super) damaged_samples: u64,
     /// For how long a sensor of the IMU repeated itself while the device moved, seconds.
@@ -31,7 +40,7 @@ pub struct RecordedWalk {
 impl RecordedWalk {
     /// Reads samples and images, and finds the features that the settings name.
     ///
-    /// [`Error::SensorMissing`] without cameras or IMU, [`Error::FrozenSensor`] where the IMU repeats itself.
+    /// [`Error::SensorMissing`] without cameras, and where the rig file does not have the IMU that was recorded; [`Error::FrozenSensor`] where the IMU repeats itself.
     pub fn read(
         recording: &Recording,
         config: &GroundTruthConfig,
@@ -53,15 +62,19 @@ impl RecordedWalk {
             sensor,
             rig: rig.name.clone(),
         };
-        let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?.clone();
         if rig.cameras.is_empty() {
             return Err(missing("camera"));
         }
-        let (mut imu, damaged_samples) = read_imu(recording)?;
-        if imu.is_empty() {
-            return Err(missing("IMU"));
-        }
-        let frozen_secs = frozen_samples::take_out(&mut imu)?;
+        let (mut imu, damaged_samples) = read_imu_if_any(recording)?;
+        let noise = match rig.imu_noise() {
+            Some(noise) => noise.clone(),
+            None if imu.is_empty() => NO_IMU,
+            None => return Err(missing("IMU")),
+        };
+        let frozen_secs = match imu.is_empty() {
+            true => 0.0,
+            false => frozen_samples::take_out(&mut imu)?,
+        };
         let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
         let mut read = read_frames(recording, &rig, &detector, stages, progress)?;
         let frozen = frozen_images::take_out(&mut read.frames, &imu);

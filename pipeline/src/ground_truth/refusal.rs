@@ -20,7 +20,7 @@ pub(super) struct Judged<'a> {
     pub path: &'a Path,
     pub walk: &'a Walk,
     pub start: &'a Start,
-    pub imu: &'a ImuRefinement,
+    pub imu: Option<&'a ImuRefinement>,
     pub trusted: &'a Trusted,
     /// What was found of the points that should be in view, in all of the walk.
     pub in_view: &'a InView,
@@ -94,7 +94,7 @@ impl Judged<'_> {
 
     /// What is wrong with the IMU so far that the walk fails by it alone.
     fn failed_imu(&self) -> Option<String> {
-        let findings = self.imu.findings().into_iter();
+        let findings = self.imu?.findings().into_iter();
         let failed: Vec<Finding> = findings.filter(|f| f.verdict == Verdict::Fail).collect();
         let said = failed.iter().map(|f| match &f.remedy {
             Some(remedy) => format!("{}; {remedy}", f.what),

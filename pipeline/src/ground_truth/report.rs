@@ -152,11 +152,11 @@ pub struct GroundTruthReport {
     pub accel_bias_m_s2: [f64; 3],
     /// What the walk makes of the rig file's cameras.
     pub cameras: Vec<CameraRefinement>,
-    /// What it makes of the IMU.
+    /// What it makes of the IMU, where there is one.
     #[serde(flatten)]
-    pub imu: ImuRefinement,
+    pub imu: Option<ImuRefinement>,
     /// What the IMU says of the map's size and vertical.
-    pub map: MapAgreement,
+    pub map: Option<MapAgreement>,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.
@@ -181,6 +181,11 @@ pub enum GroundTruthWarning {
     CameraOff {
         /// How it differs.
         found: CameraRefinement,
+    },
+    /// There are no inertial samples: images alone say where the device was.
+    WithoutImu {
+        /// Whether the rig file has an IMU.
+        in_rig: bool,
     },
     /// Intervals between frames lack inertial samples.
     ImuGaps {

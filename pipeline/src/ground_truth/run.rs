@@ -45,7 +45,8 @@ fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Resu
 /// Where the device was at each of its images, in the world of the map.
 ///
 /// [`Error::FailedMap`] of a map that failed when it was made; [`Error::WrongFeature`] of one with other features than the settings name;
-/// [`Error::NotLocalized`] where too few images show the map; [`Error::AccelContradicts`] where a walk is refused and axes of the accelerometer explain it; [`Error::SensorMissing`] without cameras or IMU.
+/// [`Error::NotLocalized`] where too few images show the map; [`Error::AccelContradicts`] where a walk is refused and axes of the accelerometer explain it; [`Error::SensorMissing`] without cameras. Without an IMU images alone
+/// say where the device was, and a warning that they do.
 pub fn ground_truth(
     recording: &Recording,
     map: &HdMap,
@@ -140,10 +141,15 @@ fn solve_in_map(
     })?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
-    let imu = ImuRefinement::of(&walk, &solved.last, config)?;
-    walk.loosen_imu(imu.noise_factor());
     let used = &solved.config;
-    let agreement = MapAgreement::of(&walk, &solved.last, used)?;
+    let (imu, agreement) = if walk.has_imu() {
+        let imu = ImuRefinement::of(&walk, &solved.last, config)?;
+        walk.loosen_imu(imu.noise_factor());
+        let agreement = MapAgreement::of(&walk, &solved.last, used)?;
+        (Some(imu), Some(agreement))
+    } else {
+        (None, None)
+    };
     let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
 
     let in_view = look_for_points(&walk, estimate, &features, map, config);
@@ -168,7 +174,7 @@ fn solve_in_map(
         path,
         walk: &walk,
         start: &start,
-        imu: &imu,
+        imu: imu.as_ref(),
         trusted: &trusted,
         in_view: &whole,
         disagreements_m: &disagreements_m,
@@ -177,7 +183,8 @@ fn solve_in_map(
         return Err(refusal);
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
-    let mut report = report(&walk, &solved, &trusted, &trajectory, (&imu, agreement))?;
+    let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+    (report.imu, report.map) = (imu, agreement);
     let names = rig.cameras.keys().map(String::as_str);
     report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
@@ -196,6 +203,9 @@ fn solve_in_map(
         recorded.frozen,
         (recorded.damaged_samples, recorded.frozen_secs),
     );
+    let in_rig = rig.imu_noise().is_some();
+    let without_imu = (!walk.has_imu()).then_some(GroundTruthWarning::WithoutImu { in_rig });
+    report.warnings.extend(without_imu);
     report.warnings.extend(not_checked(&walk, &in_view));
     let failures = map.failures().iter();
     report
@@ -287,7 +297,6 @@ fn report(
     solved: &Solved,
     trusted: &Trusted,
     trajectory: &Trajectory,
-    (imu, map): (&ImuRefinement, MapAgreement),
 ) -> Result<GroundTruthReport, Error> {
     let last = &solved.last;
     let states = &last.estimate.states;
@@ -316,7 +325,10 @@ fn report(
         map_errors: map_errors(walk, &last.estimate),
         local_errors: local_errors(&last.estimate, &last.points),
         imu_samples: walk.imu.len() as u64,
-        imu_gaps: gaps.iter().filter(|gap| gap.is_none()).count() as u64,
+        imu_gaps: match walk.has_imu() {
+            true => gaps.iter().filter(|gap| gap.is_none()).count() as u64,
+            false => 0,
+        },
         initial_cost: last.report.initial_cost,
         final_cost: last.report.final_cost,
         iterations: last.report.iterations as u64,
@@ -324,8 +336,8 @@ fn report(
         gyro_bias_rad_s: bias.gyro_rad_s.into(),
         accel_bias_m_s2: bias.accel_m_s2.into(),
         cameras: Vec::new(),
-        imu: imu.clone(),
-        map,
+        imu: None,
+        map: None,
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })

@@ -7,6 +7,10 @@ use super::in_view::InView;
 use super::report::{LeftOutReason, Span};
 use super::walk::{FrameState, Walk};
 
+/// Largest standard deviation of an attitude that is exported, radians. With an IMU none comes near it; of images alone it leaves out what is between
+/// those that see enough, where a body may have turned anyhow.
+const MAX_ROTATION_SIGMA_RAD: f64 = 0.02;
+
 /// Frames of the trajectory, and what was left out of it.
 pub(super) struct Trusted {
     pub poses: Vec<StampedPose>,
@@ -129,6 +133,6 @@ fn reasons(
 }
 
 fn is_certain(covariance: &Matrix6<f64>, config: &GroundTruthConfig) -> bool {
-    let position = covariance.fixed_view::<3, 3>(3, 3);
-    (position.trace() / 3.0).sqrt() <= config.max_position_sigma_m
+    let sigma = |first: usize| (covariance.fixed_view::<3, 3>(first, first).trace() / 3.0).sqrt();
+    sigma(0) <= MAX_ROTATION_SIGMA_RAD && sigma(3) <= config.max_position_sigma_m
 }

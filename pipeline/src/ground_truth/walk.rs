@@ -15,7 +15,7 @@ pub(super) struct Walk {
     pub cameras: Vec<Arc<MovingCamera>>,
     /// Instants at which images were taken, in order.
     pub frames: Vec<Frame>,
-    /// Inertial samples, in order.
+    /// Inertial samples, in order; none where images alone were recorded.
     pub imu: Vec<Stamped<ImuSample>>,
     /// Noise of the IMU, as the optimisation should take it.
     pub noise: ImuNoiseModel,
@@ -89,6 +89,11 @@ pub(super) struct FrameState {
 }
 
 impl Walk {
+    /// Whether an IMU was recorded at all.
+    pub fn has_imu(&self) -> bool {
+        !self.imu.is_empty()
+    }
+
     /// Takes the noise of the IMU so many times as large in all intervals.
     pub fn loosen_imu(&mut self, noise_factor: f64) {
         let frames = 0..self.frames.len();

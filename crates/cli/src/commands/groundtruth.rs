@@ -41,6 +41,9 @@ use crate::standing;
 /// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
 /// camera's, or axes are wrong, and the walk is bent.
 ///
+/// A walk that was recorded without an IMU is placed by its images alone, and the finding without-imu says so: lengths and the vertical are the
+/// map's then, nothing checks them, and there are poses only where enough of the map is in view.
+///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
 /// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
 ///

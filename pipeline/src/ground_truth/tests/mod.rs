@@ -10,6 +10,7 @@ mod in_view;
 mod learned;
 mod recorded;
 mod standing;
+mod without_imu;
 
 use std::sync::Arc;
 
