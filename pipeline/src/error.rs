@@ -320,16 +320,16 @@ pub enum Error {
     },
     /// Much of what the map says should be in view is not there.
     #[error(
-        "{path}: of {certain} points of the map that should be in view {absent} are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
+        "{path}: by {points} points of the map that should be in view {absent_percent:.0} % of it are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
     )]
     PointsAbsent {
         /// The recording.
         path: PathBuf,
-        /// Points of which it is certain whether they are there.
-        certain: usize,
-        /// Those that are not.
-        absent: usize,
-        /// Largest share of them that may be absent.
+        /// Points that were looked for.
+        points: usize,
+        /// How much of what they say is that they are not there, percent.
+        absent_percent: f64,
+        /// Largest share of that.
         limit: f64,
     },
     /// Nothing in a walk without a map tells scale and gravity.
@@ -457,7 +457,7 @@ pub enum Error {
     },
     /// Next to nothing of a walk was recognised on its own, and nothing else tells whether the map has it where it was.
     #[error(
-        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), of the {certain} points of the map that should be in view {absent} are not there, too few to tell, and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
+        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), {points} points of the map that should be in view, of which {absent_percent:.0} % are not there, are too few to tell, and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
     )]
     FewRecognised {
         /// The recording.
@@ -470,10 +470,10 @@ pub enum Error {
         needed_share: f64,
         /// How far halves of the map move the poses in the middle, metres.
         moved_m: f64,
-        /// Points of the map of which it is certain whether they are there, where they should be in view.
-        certain: usize,
-        /// Those that are not.
-        absent: usize,
+        /// Points of the map that were looked for.
+        points: usize,
+        /// How much of what they say is that they are not there, percent.
+        absent_percent: f64,
     },
     /// A least-squares problem kept moving.
     #[error(

@@ -4,7 +4,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 
 use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::imu_refinement::ImuRefinement;
-use super::in_view::FEWEST_CERTAIN;
+use super::in_view::FEWEST_POINTS;
 use super::map_agreement::MapAgreement;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
@@ -245,11 +245,11 @@ impl GroundTruthReport {
             "halves of the map's points move no position by more than {:.1} cm",
             largest_m * 1e2
         );
-        let absent = 100.0 * self.points_absent as f64 / self.points_in_view.max(1) as f64;
+        let absent = 100.0 * self.absent_share;
         let in_view = format!(
-            "{} of {} points of the map that should be in view are not there; a place that looks the same in all of them could not be \
-             told from this one",
-            self.points_absent, self.points_in_view
+            "{} points of the map that should be in view were looked for, and {absent:.1} % of what they say is that they are not there; a place \
+             that looks the same in all of them could not be told from this one",
+            self.points_in_view
         );
         let mut findings = vec![
             Finding::new("coverage", whole, "trajectory", coverage)
@@ -259,7 +259,7 @@ impl GroundTruthReport {
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
             // Of a few points nothing is known.
-            match self.points_in_view < FEWEST_CERTAIN as u64 {
+            match self.points_in_view < FEWEST_POINTS as u64 {
                 true => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
                 false => {
                     let usual = Limit::AtMost(100.0 * USUAL_OF_ABSENT * self.max_absent_share);

@@ -59,8 +59,8 @@ impl Judged<'_> {
                 frames,
                 needed_share: config.min_recognised_share,
                 moved_m: moved_m(),
-                certain: self.in_view.certain(),
-                absent: self.in_view.absent,
+                points: self.in_view.points,
+                absent_percent: 100.0 * self.in_view.absent_share(),
             },
             // Of another floor parts of the map disagree as well, and that much is absent says why.
             Some(LeftOutReason::PointsAbsent | LeftOutReason::MapPartsDisagree)
@@ -86,8 +86,8 @@ impl Judged<'_> {
     fn points_absent(&self, config: &GroundTruthConfig) -> Error {
         Error::PointsAbsent {
             path: self.path.to_owned(),
-            certain: self.in_view.certain(),
-            absent: self.in_view.absent,
+            points: self.in_view.points,
+            absent_percent: 100.0 * self.in_view.absent_share(),
             limit: config.max_absent_share,
         }
     }

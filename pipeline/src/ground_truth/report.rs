@@ -116,11 +116,11 @@ pub struct GroundTruthReport {
     pub largest_disagreement_m: f64,
     /// How far they may, metres.
     pub max_disagreement_m: f64,
-    /// Points of the map that should be in view of which it is certain whether they are there, stretch by stretch.
+    /// Points of the map that should be in view and were looked for, stretch by stretch.
     pub points_in_view: u64,
-    /// Those that are not there.
-    pub points_absent: u64,
-    /// Largest share of them that may be absent.
+    /// How much of what they say is that they are not there.
+    pub absent_share: f64,
+    /// Largest such share.
     pub max_absent_share: f64,
     /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,

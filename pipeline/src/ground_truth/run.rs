@@ -152,7 +152,7 @@ fn solve_in_map(
     };
     let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
 
-    let in_view = look_for_points(&walk, estimate, &features, map, config);
+    let in_view = look_for_points(&walk, estimate, points, &features, map, config);
     let halves = check_halves(&walk, estimate, points, used, progress)?;
     let with_shared = uncertainty.poses.iter().zip(&halves);
     let with_shared = with_shared.map(|(pose, halves)| pose.map(|own| own + halves.shared));
@@ -194,7 +194,7 @@ fn solve_in_map(
     report.rival_localizations = start.rival_count as u64;
     report.max_disagreement_m = config.max_disagreement_m;
     report.max_absent_share = config.max_absent_share;
-    (report.points_in_view, report.points_absent) = (whole.certain() as u64, whole.absent as u64);
+    (report.points_in_view, report.absent_share) = (whole.points as u64, whole.absent_share());
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
     report.warnings = warnings(
@@ -316,7 +316,7 @@ fn report(
         largest_disagreement_m: trusted.disagreements_m.iter().copied().fold(0.0, f64::max),
         max_disagreement_m: 0.0,
         points_in_view: 0,
-        points_absent: 0,
+        absent_share: 0.0,
         max_absent_share: 0.0,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,

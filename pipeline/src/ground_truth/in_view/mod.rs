@@ -5,10 +5,12 @@
 //! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its
 //! place. One that is there looks more like itself in its place than beside it; of one that is not there, one look is as good as
 //! another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
-//! points that lie together are there or absent together. How much it proves depends on how surely the point is found where it is there: few
-//! images of the map that show it, and a place from which it is smaller than in any of them, make it unsure.
+//! points that lie together are there or absent together, and what they say together counts by how surely they say it. How much it proves depends on how surely the point is found where it is there: few
+//! images of the map that show it, and a place from which it is smaller than in any of them, make it unsure. A point in front of which the walk
+//! sees other things, as `hidden` says, is not looked for: there or not, it is not found.
 
 mod expected;
+mod hidden;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -18,11 +20,12 @@ use rayon::prelude::*;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::walk::Walk;
+use super::walk::{LocalPoint, Walk};
 use crate::features::matching::{DESCRIPTOR_NORM, distance_squared};
 use crate::features::{Features, KeypointGrid};
 use crate::hd_map::HdMap;
 use expected::Views;
+use hidden::Sights;
 
 /// Time about which one judgement is made, seconds.
 const SPAN_SECS: f64 = 10.0;
@@ -49,51 +52,74 @@ const FOUND_WHERE_THERE: [f64; 5] = [0.5, 0.65, 0.75, 0.75, 0.85];
 const FOUND_BY_SIZE: f64 = 1.5;
 /// Share of points that look most like themselves in their place, where they are not there.
 const FOUND_WHERE_ABSENT: f64 = 0.25;
-/// How many times likelier one of the two must make what was found than the other.
+/// How many times likelier one of the two must make what was found than the other to be believed.
 const LIKELIER: f64 = 20.0;
 
-/// So many points must be certain before a stretch is judged by them.
-pub(super) const FEWEST_CERTAIN: usize = 4 * GROUP;
-/// So many that are absent make it doubtful, however few are certain: two groups that lie apart do not go missing by chance.
-const FEWEST_ABSENT: usize = 2 * GROUP;
+/// So many points must have been looked for before a stretch is judged by them, and so many times must what they say be enough to be believed.
+pub(super) const FEWEST_POINTS: usize = 4 * GROUP;
+const TIMES_BELIEVED: f64 = 4.0;
 
-/// What was found of the points that should be in view, in a stretch of the walk.
+/// What was found of the points that should be in view, in a stretch of the walk. Evidence is the logarithm of how many times likelier what was
+/// found is if points that lie together are there, or are not, summed up over all such groups that say the one or the other.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct InView {
     pub frames: Range<usize>,
-    /// Points that are there.
-    pub there: usize,
-    /// Points that should be there and are not.
-    pub absent: usize,
+    /// Points that were looked for.
+    pub points: usize,
+    /// Evidence that they are there.
+    pub there: f64,
+    /// Evidence that they are not.
+    pub absent: f64,
+    /// As much of that as one group has, at most.
+    pub most_absent: f64,
 }
 
 impl InView {
-    /// Points of which it is certain whether they are there.
-    pub fn certain(&self) -> usize {
-        self.there + self.absent
+    fn nothing(frames: Range<usize>) -> Self {
+        Self {
+            frames,
+            points: 0,
+            there: 0.0,
+            absent: 0.0,
+            most_absent: 0.0,
+        }
     }
 
-    /// Whether there are enough of them to tell the place from one that is built alike.
+    /// Evidence that points are not there, without that of one group: what hangs in one place may have been taken away.
+    fn absent_elsewhere(&self) -> f64 {
+        (self.absent - self.most_absent).max(0.0)
+    }
+
+    /// Share of that in all evidence.
+    pub fn absent_share(&self) -> f64 {
+        let absent = self.absent_elsewhere();
+        absent / (self.there + absent).max(f64::MIN_POSITIVE)
+    }
+
+    /// Whether there is enough of it to tell the place from one that is built alike.
     pub fn is_judged(&self) -> bool {
-        self.certain() >= FEWEST_CERTAIN
+        let evidence = self.there + self.absent;
+        self.points >= FEWEST_POINTS && evidence >= TIMES_BELIEVED * LIKELIER.ln()
     }
 
     /// Whether so much is absent that this may be another place.
     pub fn is_doubtful(&self, config: &GroundTruthConfig) -> bool {
-        // One group alone is no other place.
-        let is_enough = self.absent > GROUP && self.is_judged() || self.absent >= FEWEST_ABSENT;
-        is_enough && self.absent as f64 > config.max_absent_share * self.certain() as f64
+        let is_believed = self.absent_elsewhere() >= LIKELIER.ln();
+        is_believed && self.absent_share() > config.max_absent_share
     }
 
     /// What was found in all stretches of a walk together.
     pub fn of_walk(stretches: &[Self]) -> Self {
         let first = stretches.first().map_or(0, |v| v.frames.start);
         let end = stretches.last().map_or(0, |v| v.frames.end);
-        Self {
-            frames: first..end,
-            there: stretches.iter().map(|v| v.there).sum(),
-            absent: stretches.iter().map(|v| v.absent).sum(),
+        let mut whole = Self::nothing(first..end);
+        for stretch in stretches {
+            whole.points += stretch.points;
+            whole.there += stretch.there;
+            whole.absent += stretch.absent;
+            whole.most_absent = whole.most_absent.max(stretch.most_absent);
         }
+        whole
     }
 }
 
@@ -101,21 +127,27 @@ impl InView {
 pub(super) fn look_for_points(
     walk: &Walk,
     estimate: &Estimate,
+    points: &[LocalPoint],
     features: &[Features],
     map: &HdMap,
     config: &GroundTruthConfig,
 ) -> Vec<InView> {
+    let spans: Vec<(Range<usize>, Vec<usize>)> = spans(walk)
+        .into_iter()
+        .map(|frames| (frames.clone(), chosen_frames(walk, frames, config)))
+        .collect();
+    let chosen = spans.iter().flat_map(|(_, chosen)| chosen.iter().copied());
     let search = Search {
         walk,
         estimate,
         features,
         map,
         views: Views::of(map),
+        sights: Sights::of(walk, estimate, points, chosen),
     };
-    spans(walk)
+    spans
         .into_iter()
-        .map(|frames| {
-            let chosen = chosen_frames(walk, frames.clone(), config);
+        .map(|(frames, chosen)| {
             let looks: Vec<Look> = chosen
                 .into_par_iter()
                 .flat_map_iter(|k| search.frame(k))
@@ -169,6 +201,8 @@ struct Look {
     point: u32,
     in_place: Option<u32>,
     beside: Option<u32>,
+    /// Whether the walk sees something in front of it.
+    is_hidden: bool,
     /// As [`Views::size`] has it.
     size: f64,
 }
@@ -179,6 +213,7 @@ struct Search<'a> {
     features: &'a [Features],
     map: &'a HdMap,
     views: Views<'a>,
+    sights: Sights,
 }
 
 impl Search<'_> {
@@ -217,6 +252,7 @@ impl Search<'_> {
                 Look {
                     point,
                     size: self.views.size(point, away_m, lens.focal_px()[0]),
+                    is_hidden: self.sights.hide(k, camera, &pixel, away_m),
                     in_place: nearest(pixel, point),
                     beside: aside.into_iter().filter_map(|at| nearest(at, point)).min(),
                 }
@@ -259,6 +295,7 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
     let mut sought: Vec<Sought> = by_point
         .into_iter()
         .filter(|(_, looks)| looks.len() >= FEWEST_LOOKS)
+        .filter(|(_, looks)| 2 * looks.iter().filter(|l| l.is_hidden).count() <= looks.len())
         .filter_map(|(point, looks)| {
             let in_place = looks.iter().filter_map(|look| look.in_place).min();
             let beside = looks.iter().filter_map(|look| look.beside).min();
@@ -271,11 +308,8 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
             })
         })
         .collect();
-    let mut found = InView {
-        frames,
-        there: 0,
-        absent: 0,
-    };
+    let mut found = InView::nothing(frames);
+    found.points = sought.len();
     judge_groups(&mut sought, &mut found);
     found
 }
@@ -298,9 +332,7 @@ fn judge_groups(sought: &mut [Sought], found: &mut InView) {
         return;
     }
     let sum: f64 = sought.iter().map(Sought::likelihood).sum();
-    if sum >= LIKELIER.ln() {
-        found.there += sought.len();
-    } else if sum <= -LIKELIER.ln() {
-        found.absent += sought.len();
-    }
+    found.there += sum.max(0.0);
+    found.absent += (-sum).max(0.0);
+    found.most_absent = found.most_absent.max(-sum);
 }
