@@ -320,7 +320,7 @@ pub enum Error {
     },
     /// Much of what the map says should be in view is not there.
     #[error(
-        "{path}: by {points} points of the map that should be in view {absent_percent:.0} % of it are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
+        "{path}: {points} points of the map that should be in view were looked for, and {absent_percent:.1} % of what they say is that they are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
     )]
     PointsAbsent {
         /// The recording.
@@ -457,7 +457,7 @@ pub enum Error {
     },
     /// Next to nothing of a walk was recognised on its own, and nothing else tells whether the map has it where it was.
     #[error(
-        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), {points} points of the map that should be in view, of which {absent_percent:.0} % are not there, are too few to tell, and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
+        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), {points} points of the map that should be in view say too little to tell ({absent_percent:.0} % of it that they are not there), and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
     )]
     FewRecognised {
         /// The recording.

@@ -85,7 +85,7 @@ pub(super) fn longest_s(by_scans: &[StampedPose]) -> f64 {
     let pairs = by_scans.windows(2);
     let intervals_s = pairs.map(|pair| pair[1].time.secs_since(pair[0].time));
     let usual_s = median(intervals_s.collect()).unwrap_or(0.0);
-    (USUAL_TIMES * usual_s).max(MOST_S).min(MOST_AT_ALL_S)
+    (USUAL_TIMES * usual_s).clamp(MOST_S, MOST_AT_ALL_S)
 }
 
 fn spans(by_scans: &[StampedPose]) -> Vec<[StampedPose; 2]> {
