@@ -7,8 +7,7 @@ use super::recorded::{Measured, Paint, WALK_FRAMES, map, rig, run};
 use super::*;
 
 /// Half of what is on the walls of the other floor is what is on the mapped one's: all images are found there, agree with the IMU, and lie
-/// where halves of the map say; its poses came out with 1 mm and no warning. Where screens were put before half of the walls the place is
-/// still the mapped one: what they hide says nothing.
+/// where halves of the map say; its poses came out with 1 mm and no warning.
 #[test]
 fn another_floor_that_is_built_alike_is_refused() {
     let map = map(1);
@@ -21,14 +20,6 @@ fn another_floor_that_is_built_alike_is_refused() {
     let here = walked(Paint::of(1)).expect("the mapped floor").report;
     assert!(here.points_in_view > 200, "{}", here.points_in_view);
     assert!(here.absent_share < 0.01, "{}", here.absent_share);
-    let behind = walked(Paint::with_screens(1)).expect("with screens").report;
-    assert!(behind.points_in_view > 100, "{}", behind.points_in_view);
-    assert!(
-        behind.absent_share < 0.015,
-        "{} by {} points",
-        behind.absent_share,
-        behind.points_in_view
-    );
     let verdict = |points_in_view| {
         let report = GroundTruthReport {
             points_in_view,
@@ -45,7 +36,8 @@ fn another_floor_that_is_built_alike_is_refused() {
     assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
 }
 
-/// Stretches of the made-up walk in which so much says that points are there and absent, of which a group says 12 at most, and which frames are left out for it.
+/// Stretches of the made-up walk in which so much says that points are there and absent, of which a group says 12 at most, and which frames
+/// are left out for it.
 fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
     let MadeUp { mut walk, .. } = make_walk(20, 20, |_| true);
     for frame in &mut walk.frames {

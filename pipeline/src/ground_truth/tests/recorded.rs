@@ -46,50 +46,21 @@ pub(super) struct Paint {
     seed: u64,
     /// Every second square metre has other paint: what another floor that is built alike looks like.
     is_other_floor: bool,
-    /// Whether screens stand before the walls that were not there before.
-    has_screens: bool,
 }
-
-/// How far screens stand from the middle of the room, and how high they are, metres; they are a metre wide and a metre apart.
-const SCREENS_M: f64 = 2.1;
-const SCREENS_HIGH_M: f64 = 2.2;
 
 impl Paint {
     pub fn of(seed: u64) -> Self {
         Self {
             seed,
             is_other_floor: false,
-            has_screens: false,
         }
     }
 
     pub fn other_floor(seed: u64) -> Self {
         Self {
+            seed,
             is_other_floor: true,
-            ..Self::of(seed)
         }
-    }
-
-    pub fn with_screens(seed: u64) -> Self {
-        Self {
-            has_screens: true,
-            ..Self::of(seed)
-        }
-    }
-
-    /// Grey value of a screen that a ray meets.
-    fn screen(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-        let met = [0, 1].into_iter().filter_map(|axis| {
-            let at = SCREENS_M.copysign(direction[axis]);
-            let distance = (at - origin[axis]) / direction[axis];
-            let hit = origin + direction * distance;
-            let (along, z) = (hit[1 - axis], hit.z);
-            let is_met = (along.floor() as i64).rem_euclid(2) == 0 && z < SCREENS_HIGH_M;
-            let face = 10 + 2 * axis as u64 + u64::from(at > 0.0);
-            (self.has_screens && is_met && along.abs() < SCREENS_M)
-                .then(|| (distance, paint(self.seed, face, along, z)))
-        });
-        met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, grey)| grey)
     }
 
     fn seed_at(&self, face: u64, u: f64, v: f64) -> u64 {
@@ -105,9 +76,6 @@ impl Paint {
 
 /// Grey value seen along a ray in a room of 6 × 6 × 3 m.
 fn shade(room: Paint, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-    if let Some(grey) = room.screen(origin, direction) {
-        return grey;
-    }
     let (low, high) = (Vector3::new(-3.0, -3.0, 0.0), Vector3::new(3.0, 3.0, 3.0));
     let mut nearest = (f64::INFINITY, 0);
     for axis in 0..3 {
