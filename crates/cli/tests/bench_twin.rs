@@ -44,18 +44,19 @@ fn a_run_of_the_trial_is_judged_and_stands() {
     assert!(said.contains("not of a trial"), "{said}");
 }
 
-/// A phone that stands before a corridor's door frame, in a map of few points: features slide along the frame, in every image alike. Every
-/// second pose came out more than 10 cm off, with a standard deviation of 1 cm; a tenth of the images was localized, of which two thirds wrongly.
+/// A phone that stands before a corridor's door frame: features slide along the frame, in every image alike. Every second pose came out more than
+/// 10 cm off, with a standard deviation of 1 cm; a tenth of the images was localized, of which two thirds wrongly. In a map whose keyframes leave
+/// no holes poses are given: 8 cm off along the corridor, with a standard deviation of 4 cm there.
 #[test]
-fn a_walk_in_a_poor_map_is_refused_and_not_given_wrongly() {
+fn a_walk_along_a_door_frame_is_not_given_wrongly() {
     let folder = tempfile::tempdir().expect("folder");
     let arguments = "bench twin --out trial --try-out --true-rigs --places narrow-corridor --devices android --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let run = &json(folder.path(), &arguments, 0)["runs"][0];
     assert_eq!(run["exported_wrong"], 0, "{run}");
-    let why = run["refused"].as_str().unwrap_or_default();
-    assert!(why.contains("images could be found in the map"), "{run}");
-    assert_eq!(run["exported"], 0, "{run}");
+    let is_refused = run["refused"].is_string() && run["exported"] == 0;
+    let off_m = run["in_map_rms_m"].as_f64();
+    assert!(is_refused || off_m.is_some_and(|off| off < 0.1), "{run}");
 }
 
 /// A hall has no door that could be closed: said, where other places have; refused, where none is left. What cannot be is refused by `sim` too.
