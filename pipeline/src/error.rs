@@ -371,7 +371,7 @@ pub enum Error {
     },
     /// No pose of a walk is certain enough.
     #[error(
-        "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m): walk where more of the map is in view, or allow more", path = path.display()
+        "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m; attitudes must be known to 1.1°): walk where more of the map is in view, or allow more", path = path.display()
     )]
     NothingCertain {
         /// The recording.

@@ -23,7 +23,8 @@ pub struct DenseState {
 
 /// The states of some frames, in order, and of every inertial sample between two that are neighbours in the walk.
 ///
-/// Of images alone there are the states of the frames. Errors of a few samples between two frames are the IMU's noise over so long; on the whole they are those of the frames.
+/// Of images alone there are the states of the frames. Errors of a few samples between two frames are the IMU's noise over so long; on the whole
+/// they are those of the frames.
 pub(super) fn dense_states(
     walk: &Walk,
     solved: &Optimized,

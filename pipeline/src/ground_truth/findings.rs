@@ -165,7 +165,7 @@ impl LeftOutReason {
                 "map what is seen there too",
             ),
             Self::Uncertain => (
-                "their poses are not certain enough (max_position_sigma_m)",
+                "their poses are not certain enough (max_position_sigma_m, or 1.1° of an attitude)",
                 "walk where more of the map is in view, or allow more",
             ),
             Self::Contradicted => (

@@ -15,6 +15,7 @@ use super::keyframes::Keyframe;
 use super::scan_offsets::ScanOffsets;
 use crate::Error;
 use crate::lidar_features::ScanOffset;
+use crate::odometry::scan_count;
 
 /// Scans that are looked at are so far apart, seconds.
 const EVERY_S: f64 = 0.25;
@@ -25,6 +26,7 @@ const HELD_AGAINST: usize = 2;
 const NEAREST: usize = 5;
 /// Scans at once: bounds the memory.
 const BATCH: usize = 32;
+
 /// Looks at the scans of a recording at the poses of its map; `None` where none can be held against anything.
 pub(super) fn offsets_of_scans(
     recording: &Recording,
@@ -40,21 +42,21 @@ pub(super) fn offsets_of_scans(
         let offset = offset_of(scan, lidar, keyframes, trajectory, config)?;
         Some((scan.time, offset))
     };
-    let (mut first, mut last, mut done) = (None, None, 0);
+    let total = scan_count(recording);
+    let (mut first, mut last) = (None, None);
     let mut waiting = Vec::new();
     let mut offsets: Vec<(Timestamp, ScanOffset)> = Vec::new();
-    let mut look = |waiting: &mut Vec<Stamped<LidarScan>>| {
-        done += waiting.len() as u64;
+    let mut look = |waiting: &mut Vec<Stamped<LidarScan>>, done: u64| {
         offsets.par_extend(waiting.par_iter().filter_map(off));
         waiting.clear();
         progress(Progress {
             stage: "scans in the map",
             done,
-            total: done,
+            total,
         })
     };
     // Damaged ones are told by the stages before.
-    for scan in recording.scans()?.flatten() {
+    for (done, scan) in (0..).zip(recording.scans()?.flatten()) {
         first.get_or_insert(scan.time);
         if last.is_some_and(|last| scan.time.secs_since(last) < EVERY_S) {
             continue;
@@ -62,10 +64,10 @@ pub(super) fn offsets_of_scans(
         last = Some(scan.time);
         waiting.push(scan);
         if waiting.len() >= BATCH {
-            look(&mut waiting)?;
+            look(&mut waiting, done)?;
         }
     }
-    look(&mut waiting)?;
+    look(&mut waiting, total)?;
     Ok(first.and_then(|first| ScanOffsets::of(first, &offsets)))
 }
 

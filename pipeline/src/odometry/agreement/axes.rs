@@ -9,7 +9,7 @@ use lsfb_perception::gauss_newton::NormalEquations;
 use nalgebra::Matrix3x6;
 
 use super::triples::Triple;
-use super::turns::{MIN_SPANS, Turns, cost, residuals, scatter};
+use super::turns::{MIN_SPANS, Turns, cost, residuals, scatter, weight};
 use crate::odometry::OdometryWarning;
 
 /// Another way is taken for the right one where it explains so many more squares, and so many times as much.
@@ -200,8 +200,7 @@ fn fit(triples: &[&Triple], arrangement: &Arrangement, sigma_m_s2: Option<f64>) 
                 .fixed_view_mut::<3, 3>(0, 0)
                 .copy_from(&triple.world_from_rig);
             jacobian.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
-            let weight = 1.0 / (SHARED * (sigma * sigma + r.norm_squared() / 9.0));
-            equations.add_block(r, &jacobian, weight);
+            equations.add_block(r, &jacobian, weight(r, sigma) / SHARED);
         }
         equations.add_prior(&found, &prior);
         found += equations.step()?;

@@ -6,7 +6,7 @@
 use lsfb_geometry::Vector3;
 use lsfb_perception::statistics::peak;
 
-use super::turns::{MIN_SPANS, Turns, cost, residuals, scatter};
+use super::turns::{MIN_SPANS, Turns, cost, residuals, scatter, weight};
 
 /// Farthest delay that is tried, in steps of so many seconds.
 const STEP_S: f64 = 0.02;
@@ -53,7 +53,7 @@ pub(super) fn clock_off(turns: &Turns) -> Option<ClockOff> {
     let left = residuals(&turns.late(late_s), |by_gyro| *by_gyro);
     let information: f64 = slopes(turns, late_s)
         .zip(&left)
-        .map(|(slope, r)| slope.norm_squared() / (sigma_rad * sigma_rad + r.norm_squared() / 9.0))
+        .map(|(slope, r)| slope.norm_squared() * weight(r, sigma_rad))
         .sum();
     let sigma_s = information.sqrt().recip();
     let explained = (best - now) * tried[STEPS as usize].len() as f64;

@@ -9,7 +9,7 @@ use lsfb_geometry::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_perception::gauss_newton::NormalEquations;
 use nalgebra::Matrix3x6;
 
-use super::turns::{MIN_SPANS, Turn, scatter};
+use super::turns::{MIN_SPANS, Turn, scatter, weight};
 
 /// What is known beforehand: of the rotation, radians, and of the bias, rad/s.
 const PRIOR_RAD: f64 = 0.5;
@@ -98,8 +98,7 @@ fn equations(
         jacobian
             .fixed_view_mut::<3, 3>(0, 3)
             .copy_from(&(-Matrix3::identity() * turn.duration_s));
-        let weight = 1.0 / (sigma * sigma + r.norm_squared() / 9.0);
-        equations.add_block(r, &jacobian, weight);
+        equations.add_block(r, &jacobian, weight(r, sigma));
     }
     let off = so3::log(rotation);
     let deviation = Vector6::new(off.x, off.y, off.z, bias.x, bias.y, bias.z);

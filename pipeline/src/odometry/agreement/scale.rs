@@ -10,7 +10,7 @@ use lsfb_perception::gauss_newton::NormalEquations;
 use nalgebra::{Matrix3x4, Vector4};
 
 use super::triples::Triple;
-use super::turns::scatter;
+use super::turns::{scatter, weight};
 
 /// From the first scan to the third, seconds, at most.
 const MOST_S: f64 = 0.8;
@@ -71,8 +71,7 @@ fn equations(triples: &[(Vector3<f64>, Vector3<f64>)], found: &Vector4<f64>) -> 
             a.y, 0.0, 1.0, 0.0, //
             a.z, 0.0, 0.0, 1.0,
         );
-        let weight = 1.0 / (SHARED * (sigma * sigma + r.norm_squared() / 9.0));
-        equations.add_block(r, &jacobian, weight);
+        equations.add_block(r, &jacobian, weight(r, sigma) / SHARED);
     }
     let prior = Vector4::new(
         PRIOR_SCALE.powi(-2),

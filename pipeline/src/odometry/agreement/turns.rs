@@ -131,7 +131,12 @@ pub(super) fn scatter(residuals: &[Vector3<f64>]) -> f64 {
     1.4826 * median(sizes.collect()).unwrap_or(0.0)
 }
 
-/// The squares of a residual in its standard deviation; of large ones less and less (Cauchy).
+/// Weight of a residual of which each component has that standard deviation: what does not fit loses it (Cauchy, of three components).
+pub(super) fn weight(residual: &Vector3<f64>, sigma: f64) -> f64 {
+    1.0 / (sigma * sigma + residual.norm_squared() / 9.0)
+}
+
+/// The squares of a residual in its standard deviation; of large ones less and less, as [`weight`] has it.
 pub(super) fn cost(residual: &Vector3<f64>, sigma: f64) -> f64 {
     9.0 * (residual.norm_squared() / (9.0 * sigma * sigma)).ln_1p()
 }
