@@ -4,7 +4,12 @@ use std::path::{Path, PathBuf};
 
 use crate::answer::json;
 use crate::process::lsfb;
+use lsfb_eval::radio::{
+    PlacedReading, RadioAgreement, RadioAgreementConfig, RadioKind, radio_agreement,
+};
+use lsfb_sim::{AmbientSample, Device, Place, SimConfig, Simulation};
 use lsfb_tests::recordings;
+use lsfb_types::{Timestamp, no_progress};
 
 /// Scans, mean, median and largest error, metres, as `benches/radio/neighbours.py` computes them from the walks' texts alone.
 const EXPECTED: [(f64, f64, f64, f64); 3] = [
@@ -100,4 +105,62 @@ fn places_in_centimetres_are_refused(root: &Path, walk: &str) {
     assert_eq!(said.status.code(), Some(1), "{said:?}");
     let said = String::from_utf8_lossy(&said.stderr);
     assert!(said.contains("100 m/s from one known place"), "{said}");
+}
+
+/// What a phone heard on its walk through a simulated place, so many floors up, at its true places. Each walk begins at another second.
+fn heard(place: Place, seed: u64, device: Device, floors_up: u32) -> Vec<PlacedReading> {
+    let mut config = SimConfig::for_place(place, device);
+    (config.seed, config.floors_up, config.texel_m) = (seed, floors_up, 0.05);
+    if device == Device::Android {
+        config.off_path_m = 2.0;
+    }
+    let simulation = Simulation::new(&config, &no_progress).expect("valid");
+    let walk = simulation.glasses().walk();
+    let messages = simulation.surroundings().messages(simulation.world(), walk);
+    let first_ns = 1_000_000_000 * (1 + device as i64);
+    messages
+        .into_iter()
+        .filter_map(|message| {
+            let (kind, scan, source, rssi_dbm) = match message.sample {
+                AmbientSample::Wifi(r) => (RadioKind::Wifi, r.scan, r.bssid, r.rssi_dbm),
+                AmbientSample::Ble(a) => (RadioKind::Ble, 0, a.sender(), a.rssi_dbm),
+                _ => return None,
+            };
+            let pose = walk.at(message.measured_ns as f64 * 1e-9).world_from_rig;
+            Some(PlacedReading {
+                kind,
+                time: Timestamp::from_nanos(first_ns + message.measured_ns),
+                scan,
+                source,
+                rssi_dbm,
+                field_t: [0.0; 3],
+                position_m: pose.translation,
+                sigma_m: 0.1,
+            })
+        })
+        .collect()
+}
+
+/// The walk of somebody else with other glasses on the same way says what is heard where; floors have transmitters of their own, and a slab
+/// takes 15 dB.
+#[test]
+fn a_walk_is_told_from_one_on_another_floor_by_what_it_hears() {
+    let agreement = |walk: &[PlacedReading], others: &[PlacedReading]| -> RadioAgreement {
+        radio_agreement(walk, others, &RadioAgreementConfig::default()).expect("no copy")
+    };
+    for (place, seed) in [
+        (Place::NarrowCorridor, 1),
+        (Place::MediumOffice, 2),
+        (Place::Stairs, 3),
+    ] {
+        let others = heard(place, seed, Device::Glasses, 0);
+        let here = agreement(&heard(place, seed, Device::Android, 0), &others);
+        let above = agreement(&heard(place, seed, Device::Android, 1), &others);
+        println!("{place:?} {seed}: here {here:?}, above {above:?}");
+        assert!(
+            here.is_judged() && !here.contradicts(),
+            "{place:?}: {here:?}"
+        );
+        assert!(above.contradicts(), "{place:?}: {above:?}");
+    }
 }

@@ -29,6 +29,7 @@
 
 pub mod alignment;
 pub mod association;
+pub mod barometer;
 mod compare;
 mod consistency;
 pub mod dataset;

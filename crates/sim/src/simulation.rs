@@ -85,7 +85,7 @@ impl Simulation {
             let cameras = glasses.cameras.drain(..);
             glasses.cameras = cameras.map(|c| c.with_passers(passers.clone())).collect();
         }
-        let surroundings = Surroundings::new(config, &world, [&scan.walk, &glasses.walk]);
+        let surroundings = Surroundings::new(config, &world, &scan.walk);
         scan.time_feed = surroundings.time_feed(&world, &scan.walk);
         Ok(Self {
             config: config.clone(),

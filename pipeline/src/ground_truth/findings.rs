@@ -4,7 +4,6 @@ use lsfb_types::{Finding, Limit, Verdict};
 
 use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::imu_refinement::ImuRefinement;
-use super::in_view::FEWEST_POINTS;
 use super::map_agreement::MapAgreement;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
@@ -258,10 +257,9 @@ impl GroundTruthReport {
             Finding::new("cross-check", Verdict::Pass, "trajectory", agreement)
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
-            // Of a few points nothing is known.
-            match self.points_in_view < FEWEST_POINTS as u64 {
-                true => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
-                false => {
+            match self.place_checked {
+                false => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
+                true => {
                     let usual = Limit::AtMost(100.0 * USUAL_OF_ABSENT * self.max_absent_share);
                     let verdict = Verdict::Warn.unless(usual.holds(absent));
                     Finding::new("points-in-view", verdict, "trajectory", in_view)

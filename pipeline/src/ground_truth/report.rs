@@ -118,6 +118,8 @@ pub struct GroundTruthReport {
     pub max_disagreement_m: f64,
     /// Points of the map that should be in view and were looked for, stretch by stretch.
     pub points_in_view: u64,
+    /// Whether what they say suffices to tell the place from one that is built alike.
+    pub place_checked: bool,
     /// How much of what they say is that they are not there.
     pub absent_share: f64,
     /// Largest such share.

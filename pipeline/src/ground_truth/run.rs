@@ -195,6 +195,7 @@ fn solve_in_map(
     report.max_disagreement_m = config.max_disagreement_m;
     report.max_absent_share = config.max_absent_share;
     (report.points_in_view, report.absent_share) = (whole.points as u64, whole.absent_share());
+    report.place_checked = whole.is_judged();
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
     report.warnings = warnings(
@@ -316,6 +317,7 @@ fn report(
         largest_disagreement_m: trusted.disagreements_m.iter().copied().fold(0.0, f64::max),
         max_disagreement_m: 0.0,
         points_in_view: 0,
+        place_checked: false,
         absent_share: 0.0,
         max_absent_share: 0.0,
         left_out: trusted.left_out.clone(),

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use lsfb_eval::radio::read_table;
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::ground_truth::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth_in_stages,
@@ -10,10 +11,12 @@ use lsfb_pipeline::ground_truth::{
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::{Judgement, Verdict};
+use serde::{Deserialize, Serialize};
 
 use super::covariance_file;
 use super::models::ModelFolder;
 use super::motion_file;
+use super::surroundings::Surroundings;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -44,11 +47,16 @@ use crate::standing;
 /// A walk that was recorded without an IMU is placed by its images alone, and the finding without-imu says so: lengths and the vertical are the
 /// map's then, nothing checks them, and there are poses only where enough of the map is in view.
 ///
+/// The pressure that a phone's barometer measured must change with the height (finding barometer; beyond 1.8 m the exit code is 4: a stretch is on
+/// another floor than it seems). Whoever walked there before with a trajectory that is right can make a table of what is heard where
+/// (`lsfb dataset radio`): with --radio a walk that did not hear the same is refused, as one on another floor that looks alike.
+///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
 /// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
 ///
 /// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
+///   lsfb groundtruth walk2.mcap --map map --radio radio.csv --out walk2.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -64,6 +72,10 @@ pub struct Arguments {
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
+    /// Readings of Wi-Fi and Bluetooth of other walks at their places in this map, a table of `lsfb dataset radio`: the walk must have heard the
+    /// same where it was.
+    #[arg(long, value_name = "CSV")]
+    radio: Option<PathBuf>,
     #[command(flatten)]
     models: ModelFolder,
 }
@@ -76,14 +88,23 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         map: &arguments.map,
         out: &arguments.out,
         config: &config,
+        radio: arguments.radio.as_deref(),
         models: &arguments.models,
     };
     let found = job.compute(context, |result| {
         context.claim(result, &[&arguments.recording])
     })?;
     let r = &found.report;
-    let judgement = Judgement::new(r.findings());
-    context.print(&Judged::new(&judgement, "the trajectory", r), || {
+    let findings = r
+        .findings()
+        .into_iter()
+        .chain(found.surroundings.findings());
+    let judgement = Judgement::new(findings.collect());
+    let kept = Kept {
+        report: r.clone(),
+        surroundings: found.surroundings.clone(),
+    };
+    context.print(&Judged::new(&judgement, "the trajectory", &kept), || {
         let mut text = format!(
             "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
             arguments.out.display(),
@@ -109,7 +130,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 pub struct WrittenTrajectory {
     pub trajectory: Trajectory,
     pub report: GroundTruthReport,
+    /// What the walk's barometer and radio say of it.
+    pub surroundings: Surroundings,
     pub provenance: Provenance,
+}
+
+/// What is kept beside a trajectory.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    #[serde(flatten)]
+    report: GroundTruthReport,
+    surroundings: Surroundings,
 }
 
 /// A trajectory to be computed of a walk.
@@ -118,6 +149,8 @@ pub struct WalkJob<'a> {
     pub map: &'a Path,
     pub out: &'a Path,
     pub config: &'a GroundTruthConfig,
+    /// Readings of others at their places.
+    pub radio: Option<&'a Path>,
     /// Weights for maps of learned features.
     pub models: &'a ModelFolder,
 }
@@ -145,10 +178,15 @@ impl WalkJob<'_> {
         let cross_check = files::beside(self.out, "cross_check");
         let states = files::beside(self.out, "states").with_extension("csv");
         let motion = states.with_extension("mcap");
-        if let Some(report) = context.standing(&[self.out], &provenance) {
+        let others = self.radio.map(read_table).transpose()?;
+        if let Some(table) = self.radio {
+            provenance.add_input(table)?;
+        }
+        if let Some(kept) = context.standing::<Kept>(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
-                report,
+                report: kept.report,
+                surroundings: kept.surroundings,
                 provenance,
             });
         }
@@ -160,6 +198,7 @@ impl WalkJob<'_> {
         let stages = context.kept_stages(self.out, &provenance)?;
         let found = ground_truth_in_stages(&walk, &hd_map, &config, &stages, &|p| context.show(p));
         let found = super::about(self.recording, stages.kept_if_stopped(found))?;
+        let surroundings = Surroundings::of(&walk, &found, others.as_deref())?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
         let poses = found.trajectory.poses().iter().zip(&found.covariances);
@@ -169,11 +208,16 @@ impl WalkJob<'_> {
         motion_file::write(&found, &motion)?;
         provenance.write(self.out)?;
         let beside = [covariances, cross_check, states, motion];
-        standing::finish(&[self.out], &beside, &provenance, &found.report)?;
+        let kept = Kept {
+            report: found.report,
+            surroundings,
+        };
+        standing::finish(&[self.out], &beside, &provenance, &kept)?;
         stages.remove()?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,
-            report: found.report,
+            report: kept.report,
+            surroundings: kept.surroundings,
             provenance,
         })
     }

@@ -50,7 +50,8 @@ pub mod scan;
 pub mod sidecar;
 mod sidecar_walks;
 pub mod sim;
-pub mod survey;
+pub mod surroundings;
+mod survey;
 #[cfg(feature = "view")]
 pub mod view;
 pub mod vio;

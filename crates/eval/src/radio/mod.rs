@@ -4,13 +4,17 @@
 //!
 //! A scan takes seconds and its readings arrive together: at walking speed a place for each scan is metres off for some of its readings.
 
+mod agreement;
 mod neighbours;
 mod placing;
 mod table;
 
+pub use agreement::{RadioAgreement, RadioAgreementConfig, radio_agreement};
 pub use neighbours::{NeighbourConfig, NeighbourFigures, Reach, judge_neighbours};
 pub use placing::{KnownPlace, Placed, PlacedReading, PlacingConfig, RadioKind, place, waypoints};
 pub use table::{read_table, table};
 
+#[cfg(test)]
+mod agreement_tests;
 #[cfg(test)]
 mod tests;

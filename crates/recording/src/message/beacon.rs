@@ -99,7 +99,8 @@ impl BleAdvert {
         Beacon::decode(&self.data)
     }
 
-    /// By what its sender is known again: an Eddystone's number, as its address may change; else the address; else an iBeacon's number.
+    /// By what its sender is known again: a beacon's number, an Eddystone's or an iBeacon's, as its address may change and iOS hides it; else
+    /// the address.
     pub fn sender(&self) -> String {
         if let Some(Beacon::EddystoneUid {
             namespace,
@@ -109,9 +110,9 @@ impl BleAdvert {
         {
             return format!("{}:{}", hex(&namespace), hex(&instance));
         }
-        match self.address.is_empty() {
-            true => format!("{}:{}:{}", self.uuid, self.major, self.minor),
-            false => self.address.clone(),
+        match self.uuid.is_empty() {
+            true => self.address.clone(),
+            false => format!("{}:{}:{}", self.uuid, self.major, self.minor),
         }
     }
 }
@@ -214,7 +215,10 @@ mod tests {
         let apple = (advert.major, advert.minor, advert.measured_power_dbm);
         assert_eq!(apple, (258, 772, -56));
         assert_eq!(advert.uuid, "9195b3ad-a9d0-4500-85ff-9fb0f65a5201");
-        assert_eq!(advert.sender(), "aa");
+        assert_eq!(
+            advert.sender(),
+            "9195b3ad-a9d0-4500-85ff-9fb0f65a5201:258:772"
+        );
         let uid = BleAdvert::heard("aa".to_owned(), -70, bytes(UID));
         assert_eq!(uid.sender(), "0102030405060708090a:111213141516");
         assert!(uid.uuid.is_empty());

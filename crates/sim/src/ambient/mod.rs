@@ -47,14 +47,26 @@ pub(crate) struct TimeFeed {
 pub struct Surroundings {
     config: SimConfig,
     transmitters: Transmitters,
+    /// With those of the scanner's floor, where the second walk is on another.
+    heard: Transmitters,
     magnetic: MagneticWorld,
 }
 
 impl Surroundings {
-    pub(crate) fn new(config: &SimConfig, world: &World, walks: [&Walk; 2]) -> Self {
-        let seed = hash(config.seed ^ 0x5a11);
+    pub(crate) fn new(config: &SimConfig, world: &World, scan: &Walk) -> Self {
+        let scanned = hash(config.seed ^ 0x5a11);
+        let floor = |seed| Transmitters::place(world, scan, seed);
+        let (seed, transmitters, heard) = match config.floors_up {
+            0 => (scanned, floor(scanned), floor(scanned)),
+            floors => {
+                let seed = hash(scanned ^ u64::from(floors));
+                let below = floor(scanned).through_slabs(floors);
+                (seed, floor(seed), floor(seed).and(below))
+            }
+        };
         Self {
-            transmitters: Transmitters::place(world, walks, seed),
+            transmitters,
+            heard,
             magnetic: MagneticWorld::new(config, world, seed),
             config: config.clone(),
         }
@@ -99,6 +111,7 @@ impl Surroundings {
             &config.barometer,
             &config.datum,
             walk,
+            config.floors_up,
             self.seed(4),
         ));
         all.extend(self.gnss(world, walk).iter().map(GnssEpoch::message));
@@ -107,7 +120,7 @@ impl Surroundings {
             // iOS gives no list of networks to apps.
             all.extend(radio::wifi(
                 &config.wifi,
-                &self.transmitters,
+                &self.heard,
                 &receiver,
                 world,
                 walk,
@@ -117,7 +130,7 @@ impl Surroundings {
         all.extend(radio::ble(
             &config.ble,
             config.device,
-            &self.transmitters,
+            &self.heard,
             &receiver,
             world,
             walk,

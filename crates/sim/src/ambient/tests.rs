@@ -203,7 +203,7 @@ fn what_a_phone_hears_in_a_corridor() {
 
     let mut config = android.config().clone();
     config.device = Device::Iphone;
-    let iphone = Surroundings::new(&config, android.world(), [walk, walk]);
+    let iphone = Surroundings::new(&config, android.world(), walk);
     let messages = iphone.messages(android.world(), walk);
     assert!(messages.iter().all(|m| match &m.sample {
         AmbientSample::Wifi(_) => false,

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::noise::{Dice, below, next_gaussian, stream, uniform};
+use crate::noise::{Dice, below, hash, next_gaussian, stream, uniform};
 use crate::walk::Walk;
 use crate::world::World;
 
@@ -16,6 +16,9 @@ const OPEN_M: f32 = 3.2;
 const TRIES: usize = 24;
 /// How far from a walk anything is hung, metres.
 const REACH_M: f64 = 12.0;
+/// Loss through the first slab between floors and each further one, decibel (ITU-R P.1238, offices at 2.4 GHz).
+const SLAB_DB: f64 = 15.0;
+const NEXT_SLAB_DB: f64 = 4.0;
 /// UUID of all beacons of a site.
 const UUID: [u8; 16] = [
     0x91, 0x95, 0xb3, 0xad, 0xa9, 0xd0, 0x45, 0x00, 0x85, 0xff, 0x9f, 0xb0, 0xf6, 0x5a, 0x52, 0x01,
@@ -79,9 +82,12 @@ pub struct Transmitters {
 }
 
 impl Transmitters {
-    /// Hangs them along the walks, as installers do: everywhere where people are, and above their heads.
-    pub(super) fn place(world: &World, walks: [&Walk; 2], seed: u64) -> Self {
-        let spots = Spots::along(walks);
+    /// Hangs them along the scanner's way, as installers do: everywhere where people are, and above their heads. They are the same whoever
+    /// walks there.
+    pub(super) fn place(world: &World, scan: &Walk, seed: u64) -> Self {
+        let spots = Spots::along(scan);
+        // No two transmitters of this world have one address, wherever they are.
+        let site = hash(seed ^ 0xadd7) as u16;
         let ground_m2 = spots.ground_m2();
         let count = |per_m2: f64, least: usize, most: usize| {
             ((ground_m2 / per_m2).ceil() as usize).clamp(least, most)
@@ -91,19 +97,41 @@ impl Transmitters {
         let access_points = places
             .into_iter()
             .enumerate()
-            .map(|(k, position_m)| access_point(k, position_m, &dice))
+            .map(|(k, position_m)| access_point(site, k, position_m, &dice))
             .collect();
         let dice = stream(seed, "beacons", 0);
         let places = spots.spread(world, &dice, count(PER_BEACON_M2, 4, 64));
         let beacons = places
             .into_iter()
             .enumerate()
-            .map(|(k, position_m)| beacon(k, position_m, &dice))
+            .map(|(k, position_m)| beacon(site, k, position_m, &dice))
             .collect();
         Self {
             access_points,
             beacons,
         }
+    }
+
+    /// As they are heard so many floors away from theirs.
+    pub(super) fn through_slabs(mut self, floors: u32) -> Self {
+        let loss_db = match floors {
+            0 => 0.0,
+            floors => SLAB_DB + NEXT_SLAB_DB * f64::from(floors - 1),
+        };
+        let networks = self.access_points.iter_mut().flat_map(|a| &mut a.networks);
+        let networks = networks.map(|network| &mut network.source);
+        let beacons = self.beacons.iter_mut().map(|beacon| &mut beacon.source);
+        for source in networks.chain(beacons) {
+            source.power_dbm -= loss_db;
+        }
+        self
+    }
+
+    /// These and others.
+    pub(super) fn and(mut self, others: Self) -> Self {
+        self.access_points.extend(others.access_points);
+        self.beacons.extend(others.beacons);
+        self
     }
 
     /// All networks of all access points.
@@ -112,7 +140,8 @@ impl Transmitters {
     }
 }
 
-fn access_point(number: usize, position_m: Vector3<f64>, dice: &Dice) -> AccessPoint {
+fn access_point(site: u16, number: usize, position_m: Vector3<f64>, dice: &Dice) -> AccessPoint {
+    let [high_byte, low_byte] = site.to_be_bytes();
     // Channels that do not overlap, the next one at each neighbour.
     let low = [2412.0, 2437.0, 2462.0][number % 3];
     let high = [5180.0, 5220.0, 5260.0, 5500.0, 5540.0, 5660.0][number % 6];
@@ -122,7 +151,11 @@ fn access_point(number: usize, position_m: Vector3<f64>, dice: &Dice) -> AccessP
         for (name, ssid) in ["lsfb-office", "lsfb-guest"].into_iter().enumerate() {
             let id = 4 * number + 2 * band + name;
             networks.push(Network {
-                bssid: format!("02:00:5e:10:{:02x}:{:02x}", id >> 8 & 0xff, id & 0xff),
+                bssid: format!(
+                    "02:{high_byte:02x}:{low_byte:02x}:10:{:02x}:{:02x}",
+                    id >> 8 & 0xff,
+                    id & 0xff
+                ),
                 ssid: ssid.to_owned(),
                 source: RadioSource {
                     position_m,
@@ -137,16 +170,17 @@ fn access_point(number: usize, position_m: Vector3<f64>, dice: &Dice) -> AccessP
     AccessPoint { networks }
 }
 
-fn beacon(number: usize, position_m: Vector3<f64>, dice: &Dice) -> Beacon {
+fn beacon(site: u16, number: usize, position_m: Vector3<f64>, dice: &Dice) -> Beacon {
+    let [high_byte, low_byte] = site.to_be_bytes();
     let odd_db = 1.0 * next_gaussian(dice);
     Beacon {
         address: format!(
-            "c2:00:5e:20:{:02x}:{:02x}",
+            "c2:{high_byte:02x}:{low_byte:02x}:20:{:02x}:{:02x}",
             number >> 8 & 0xff,
             number & 0xff
         ),
         uuid: UUID,
-        major: 1,
+        major: site,
         minor: number as u16 + 1,
         measured_power_dbm: -59,
         source: RadioSource {
@@ -164,15 +198,13 @@ struct Spots {
 }
 
 impl Spots {
-    fn along(walks: [&Walk; 2]) -> Self {
+    fn along(walk: &Walk) -> Self {
         let mut points: Vec<Vector3<f64>> = Vec::new();
-        for walk in walks {
-            for k in 0..=(2.0 * walk.duration_s()) as u32 {
-                let point = walk.at(f64::from(k) * 0.5).world_from_rig.translation;
-                let known = |p: &Vector3<f64>| (p - point).norm_squared() < 1.0;
-                if !points.iter().rev().any(known) {
-                    points.push(point);
-                }
+        for k in 0..=(2.0 * walk.duration_s()) as u32 {
+            let point = walk.at(f64::from(k) * 0.5).world_from_rig.translation;
+            let known = |p: &Vector3<f64>| (p - point).norm_squared() < 1.0;
+            if !points.iter().rev().any(known) {
+                points.push(point);
             }
         }
         Self { points }

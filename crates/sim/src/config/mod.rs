@@ -41,6 +41,11 @@ pub struct SimConfig {
     pub way_m: Vec<[f64; 3]>,
     /// How often people have moved things about since the place was built; 0 is as built.
     pub months_later: u32,
+    /// By how many floors the second walk is above what the scanner sees, in a building whose floors are built alike: who carries the device
+    /// meets transmitters of that floor, and hears the scanner's through the slabs. What stands and hangs there is another's if
+    /// `months_later` says so.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub floors_up: u32,
     /// Whether people walk about.
     pub people: bool,
     /// People besides who always is there, on the place's ways: a crowd has a dozen and more.
@@ -163,6 +168,10 @@ pub enum LensKind {
     PinholeRadtan,
 }
 
+fn is_zero(count: &u32) -> bool {
+    *count == 0
+}
+
 impl Default for SimConfig {
     fn default() -> Self {
         Self {
@@ -171,6 +180,7 @@ impl Default for SimConfig {
             scene: PathBuf::new(),
             way_m: Vec::new(),
             months_later: 0,
+            floors_up: 0,
             people: true,
             crowd: 0,
             night: false,
@@ -380,6 +390,7 @@ lsfb_types::bounds! {
         scene: any,
         way_m: any,
         months_later: any,
+        floors_up: number(Bounds::Within(0.0, 100.0)),
         people: any,
         crowd: number(Bounds::Within(0.0, 150.0)),
         night: any,

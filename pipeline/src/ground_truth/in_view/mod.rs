@@ -56,7 +56,7 @@ const FOUND_WHERE_ABSENT: f64 = 0.25;
 const LIKELIER: f64 = 20.0;
 
 /// So many points must have been looked for before a stretch is judged by them, and so many times must what they say be enough to be believed.
-pub(super) const FEWEST_POINTS: usize = 4 * GROUP;
+const FEWEST_POINTS: usize = 4 * GROUP;
 const TIMES_BELIEVED: f64 = 4.0;
 
 /// What was found of the points that should be in view, in a stretch of the walk. Evidence is the logarithm of how many times likelier what was

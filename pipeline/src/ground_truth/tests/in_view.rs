@@ -20,9 +20,10 @@ fn another_floor_that_is_built_alike_is_refused() {
     let here = walked(Paint::of(1)).expect("the mapped floor").report;
     assert!(here.points_in_view > 200, "{}", here.points_in_view);
     assert!(here.absent_share < 0.01, "{}", here.absent_share);
-    let verdict = |points_in_view| {
+    assert!(here.place_checked);
+    let verdict = |place_checked| {
         let report = GroundTruthReport {
-            points_in_view,
+            place_checked,
             absent_share: 0.0,
             ..here.clone()
         };
@@ -30,8 +31,8 @@ fn another_floor_that_is_built_alike_is_refused() {
         let found = findings.iter().find(|f| f.code == "points-in-view");
         found.map(|f| f.verdict)
     };
-    assert_eq!(verdict(here.points_in_view), Some(Verdict::Pass));
-    assert_eq!(verdict(20), Some(Verdict::Unknown), "too few to tell");
+    assert_eq!(verdict(true), Some(Verdict::Pass));
+    assert_eq!(verdict(false), Some(Verdict::Unknown), "too little to tell");
     let error = walked(Paint::other_floor(1)).expect_err("another floor");
     assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
 }

@@ -154,6 +154,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
         map: &place.join("map"),
         out: &estimate,
         config: &GroundTruthConfig::default(),
+        radio: None,
         models: &ModelFolder::new(None),
     };
     let mut run = Placed {

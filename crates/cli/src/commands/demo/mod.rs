@@ -138,6 +138,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         map: &files.map,
         out: &files.walk_trajectory,
         config: &GroundTruthConfig::default(),
+        radio: None,
         models: &ModelFolder::new(None),
     };
     let walk = walk_job.compute(context, replace)?;

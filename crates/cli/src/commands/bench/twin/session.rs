@@ -134,6 +134,7 @@ impl Session<'_> {
             map: &mapped.map,
             out: &estimate,
             config: &GroundTruthConfig::default(),
+            radio: None,
             models: &ModelFolder::new(None),
         };
         let found = costs.of(TRUTH, |made| {

@@ -162,7 +162,10 @@ impl Walked {
             Condition::AsScanned => {}
             Condition::SixMonths => config.months_later = MONTHS,
             Condition::Crowd => config.crowd = CROWD,
-            Condition::OtherFloor => config.months_later = MONTHS_TO_ANOTHER_FLOOR,
+            Condition::OtherFloor => {
+                config.months_later = MONTHS_TO_ANOTHER_FLOOR;
+                config.floors_up = 1;
+            }
             Condition::Night => config.night = true,
             Condition::FireDoor => config.fire_door = true,
         }
