@@ -47,8 +47,11 @@ impl Default for ScanPoseConfig {
         Self {
             rotation_sigma_deg: 3.0,
             translation_sigma_m: 0.3,
-            range_noise_m: 0.03,
-            lidar_features: LidarFeatureConfig::default(),
+            range_noise_m: 0.02,
+            lidar_features: LidarFeatureConfig {
+                plane_cell_m: 1.2,
+                ..LidarFeatureConfig::default()
+            },
             solver: SolveConfig::default(),
         }
     }
