@@ -216,13 +216,14 @@ impl ScanOffsets {
             _ => Verdict::Pass,
         };
         let what = format!(
-            "{:.1} s after the first scan, scans lie {:.1} cm from where surfaces of other keyframes have them (turned by {:.2}°, shifted by {:.1} cm; {:.1} cm in the middle of {} scans)",
+            "{:.1} s after the first scan, scans lie {:.1} cm from where surfaces of other keyframes have them (turned by {:.2}°, shifted by {:.1} cm; {:.1} cm in the middle of {} scans, {:.1} cm by all keyframes next to some)",
             self.worst_after_secs,
             1e2 * self.worst_m,
             self.turn_deg,
             1e2 * self.shift_m,
             1e2 * self.median_m,
-            self.scans
+            self.scans,
+            1e2 * self.least_m
         );
         let off = Finding::new("scans-off", verdict, "trajectory", what)
             .value(1e2 * self.worst_m, "cm")
