@@ -263,6 +263,12 @@ pub enum Error {
     /// A least-squares problem could not be solved.
     #[error("optimisation: {0}")]
     Solver(#[from] lsfb_solver::Error),
+    /// One scan has nothing to be compared with.
+    #[error("{scans} scans: poses are refined by what two or more scans see")]
+    TooFewScans {
+        /// How many there are.
+        scans: usize,
+    },
     /// No image lies within the trajectory.
     #[error("{path}: no image was taken between the first and the last LiDAR scan: check the cameras' clock against the LiDAR's", path = path.display())]
     NoKeyframe {

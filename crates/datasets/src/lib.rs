@@ -21,6 +21,8 @@ mod error;
 pub mod import;
 mod rosbag;
 
-pub use clouds::{CloudFolder, FileScan, ScanTimes, read_cloud};
+pub use clouds::{
+    CloudFolder, FileScan, GraphCloud, ScanTimes, is_graph_folder, read_cloud, read_graph_folder,
+};
 pub use error::Error;
 pub use rosbag::{BagImu, LidarMessages, LidarTopic, RosBag, Unread, pose_in};

@@ -184,6 +184,27 @@ impl LidarFeatures {
         }
     }
 
+    /// Of points that somebody else took for those of planes and of edges, seen from where their frame begins; metres, in the rig frame.
+    pub fn of_points(
+        on_planes: &[Vector3<f64>],
+        on_edges: &[Vector3<f64>],
+        range_noise_m: f64,
+        config: &LidarFeatureConfig,
+    ) -> Self {
+        let mut surfaces = LocalMap::new(LocalMapConfig {
+            cell_size_m: config.plane_cell_m,
+            levels: 2,
+            range_noise_m,
+        });
+        surfaces.insert(on_planes, &Se3::identity(), &Vector3::zeros());
+        let surfaces = surfaces.into_planes();
+        Self {
+            planes: surfaces.finest(),
+            edges: lines_through(on_edges, range_noise_m),
+            surfaces,
+        }
+    }
+
     /// Flat patches, each with the mean of its points.
     pub fn planes(&self) -> &[Plane] {
         &self.planes
@@ -351,6 +372,14 @@ impl Line {
         }
     }
 
+    /// Whether so many points say well enough where an edge is and how it runs.
+    fn is_edge(&self, points: usize, range_noise_m: f64) -> bool {
+        let sigma_rad = (12.0 / points as f64).sqrt() * self.thickness_m / self.length_m;
+        self.thickness_m <= 1.5 * range_noise_m
+            && self.length_m >= 4.0 * self.thickness_m
+            && sigma_rad <= MAX_DIRECTION_SIGMA_RAD
+    }
+
     /// The line through one side of an edge; `None` where the points are no line.
     fn fit(points: &[Vector3<f64>], range_noise_m: f64) -> Option<Self> {
         let line = Self::through(points.iter().copied());
@@ -410,15 +439,48 @@ fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
             continue;
         }
         let line = Line::through(members.iter().map(|&i| creases[i].point()));
-        let sigma_rad = (12.0 / members.len() as f64).sqrt() * line.thickness_m / line.length_m;
-        if line.thickness_m > 1.5 * range_noise_m
-            || line.length_m < 4.0 * line.thickness_m
-            || sigma_rad > MAX_DIRECTION_SIGMA_RAD
-        {
+        if !line.is_edge(members.len(), range_noise_m) {
             continue;
         }
         let joined: Vec<&Crease> = members.iter().map(|&i| &creases[i]).collect();
         if !parts_two_planes(&line, &joined, range_noise_m) || !is_seen_evenly(&joined) {
+            continue;
+        }
+        for i in members {
+            used[i] = true;
+        }
+        edges.push(Edge {
+            point: line.point,
+            direction: line.direction,
+        });
+    }
+    edges
+}
+
+/// Lines through points that are known to lie on edges.
+fn lines_through(points: &[Vector3<f64>], range_noise_m: f64) -> Vec<Edge> {
+    const RADIUS_M: f64 = 0.6;
+    let mut used = vec![false; points.len()];
+    let mut edges = Vec::new();
+    for seed in 0..points.len() {
+        if used[seed] {
+            continue;
+        }
+        let near: Vec<usize> = (0..points.len())
+            .filter(|&i| !used[i] && (points[i] - points[seed]).norm() < RADIUS_M)
+            .collect();
+        let line = Line::through(near.iter().map(|&i| points[i]));
+        // Points of another edge nearby are left out, once.
+        let off_m = |i: usize| line.direction.cross(&(points[i] - line.point)).norm();
+        let members: Vec<usize> = near
+            .into_iter()
+            .filter(|&i| off_m(i) < 3.0 * range_noise_m)
+            .collect();
+        if members.len() < MIN_POINTS_PER_EDGE {
+            continue;
+        }
+        let line = Line::through(members.iter().map(|&i| points[i]));
+        if !line.is_edge(members.len(), range_noise_m) {
             continue;
         }
         for i in members {

@@ -157,7 +157,7 @@ fn a_scan_that_lies_off_is_found_to() {
     ] {
         let off = Se3::exp(&Vector6::from(off));
         let found = keyframe
-            .offset_of(&scan, &(truth * off))
+            .offset_of(&scan, &(truth * off), 0.5)
             .expect("the same room");
         let left = (off * found.correction).log();
         let (turned, shifted) = (left.fixed_rows::<3>(0), left.fixed_rows::<3>(3));
@@ -170,5 +170,5 @@ fn a_scan_that_lies_off_is_found_to() {
         );
     }
     let elsewhere = Se3::new(Default::default(), Vector3::z() * 40.0);
-    assert_eq!(keyframe.offset_of(&scan, &elsewhere), None);
+    assert_eq!(keyframe.offset_of(&scan, &elsewhere, 0.5), None);
 }

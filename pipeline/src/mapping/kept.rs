@@ -19,7 +19,19 @@ keep_fields! {
     Optimised { poses, points, covariances, refined }
     Contradicted { rotation, translation }
     Agreement { on_planes, beams, contradicted }
-    ScanOffsets { scans, median_m, worst_m, worst_after_secs, turn_deg, shift_m }
+    ScanOffsets {
+        scans,
+        median_m,
+        worst_m,
+        worst_after_secs,
+        turn_deg,
+        shift_m,
+        least_m,
+        visits_apart_m,
+        visits_after_secs,
+        unseen_secs,
+        unseen_after_secs
+    }
     Rounds { done, poses, matched, contradicted, told }
 }
 

@@ -81,7 +81,7 @@ impl MappingReport {
         of_odometry
             .chain(own)
             .chain(of_scans)
-            .chain(self.scan_offsets.iter().map(ScanOffsets::finding))
+            .chain(self.scan_offsets.iter().flat_map(ScanOffsets::findings))
             .chain(of_cameras)
             .collect()
     }

@@ -17,7 +17,7 @@ pub(super) struct ScanPair {
 }
 
 /// Keyframes between two that are compared as a revisit at least.
-const REVISIT_GAP: usize = 8;
+pub(super) const REVISIT_GAP: usize = 8;
 
 /// Each keyframe with those 1, 2, 4, 8 … before it, and with the nearest of earlier visits.
 ///

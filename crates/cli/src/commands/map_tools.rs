@@ -15,6 +15,7 @@ use super::map_distances::{DistancesArguments, distances};
 use super::map_folder::{bytes_in, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
+use super::map_scans::{ScansArguments, scans};
 #[cfg(feature = "view")]
 use super::map_view::{ViewArguments, view};
 use crate::context::Context;
@@ -30,6 +31,7 @@ pub enum Tool {
     Prune(PruneArguments),
     Depth(DepthArguments),
     Distances(DistancesArguments),
+    Scans(ScansArguments),
     #[cfg(feature = "view")]
     View(ViewArguments),
 }
@@ -172,6 +174,7 @@ pub fn run(tool: &Tool, context: &Context) -> anyhow::Result<Outcome> {
         Tool::Prune(arguments) => prune(arguments, context),
         Tool::Depth(arguments) => depth(arguments, context),
         Tool::Distances(arguments) => distances(arguments, context),
+        Tool::Scans(arguments) => scans(arguments, context),
         #[cfg(feature = "view")]
         Tool::View(arguments) => view(arguments, context),
     }

@@ -35,6 +35,7 @@ mod map_folder;
 mod map_keyframes;
 mod map_prune;
 mod map_report;
+mod map_scans;
 mod map_surface;
 mod map_tools;
 #[cfg(feature = "view")]

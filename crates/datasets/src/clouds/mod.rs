@@ -2,6 +2,7 @@
 
 mod bin;
 mod folder;
+mod graph;
 mod las;
 mod lzf;
 mod pcd;
@@ -13,6 +14,7 @@ use lsfb_recording::cloud::{ByteOrder, Cloud, NumberKind, PackedCloud, PackedFie
 
 use crate::Error;
 pub use folder::{CloudFolder, FileScan, ScanTimes};
+pub use graph::{GraphCloud, is_graph_folder, read_graph_folder};
 
 /// A kind of file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

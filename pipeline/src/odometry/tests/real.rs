@@ -131,3 +131,64 @@ fn the_scans_of_small_gicp_lie_where_it_has_them() {
     let [off_m, off_deg] = worst_of_pairs(&scans, &poses, &OdometryConfig::outdoor(), 0.5);
     assert!(off_m < 0.05 && off_deg < 0.5, "{off_m} m, {off_deg}°");
 }
+
+/// Features of LOAM whose poses are disturbed by 0.3 m and 3°, all but the first: planes and edges of Eq. (4) bring them back.
+#[test]
+fn disturbed_scans_of_newer_college_go_back_to_where_they_were() {
+    use crate::mapping::{PosedScan, ScanPoseConfig, refine_scan_poses};
+
+    let test = "disturbed_scans_of_newer_college_go_back_to_where_they_were";
+    let Some(folder) = recordings(test, "lidar/gtsam_points/newer_01") else {
+        return;
+    };
+    let expected = graph(&folder.join("graph.txt"));
+    let read = |kind: &str, k: usize| {
+        let path = folder.join(format!("{kind}_{:06}.bin", 10 * k));
+        points(&std::fs::read(path).expect("points"), 3)
+    };
+    let given = |(k, pose): (usize, &Se3)| PosedScan {
+        time: Timestamp::from_secs_f64(k as f64),
+        world_from_lidar: *pose,
+        on_surfaces: read("planes", k),
+        on_edges: read("edges", k),
+    };
+    let given: Vec<PosedScan> = expected.iter().enumerate().map(given).collect();
+    let refine = |scans: &[PosedScan]| {
+        let config = ScanPoseConfig::default();
+        let refined = refine_scan_poses(scans, &config, &lsfb_types::no_progress);
+        refined.expect("poses")
+    };
+    // Along three directions, and about three axes.
+    for seed in 0..3 {
+        let mut scans = given.clone();
+        for (k, scan) in scans.iter_mut().enumerate().skip(1) {
+            let sign = if (k + seed) % 2 == 0 { 1.0 } else { -1.0 };
+            let mut off = Vector6::zeros();
+            off[(k + seed) % 3] = sign * 3f64.to_radians();
+            off[3 + (k + 2 * seed) % 3] = -sign * 0.3;
+            scan.world_from_lidar = scan.world_from_lidar * Se3::exp(&off);
+        }
+        let found = refine(&scans);
+        let (before, after) = (found.report.lidar_before, found.report.lidar_after);
+        let (mut off_m, mut off_deg) = (0.0_f64, 0.0_f64);
+        for (found, expected) in found.poses.iter().zip(&expected) {
+            let off = expected.inverse() * found.world_from_rig;
+            off_m = off_m.max(off.translation.norm());
+            off_deg = off_deg.max(off.rotation.angle().to_degrees());
+        }
+        assert!(after.plane_rms_m < 0.5 * before.plane_rms_m, "{after:?}");
+        assert!(after.edge_rms_m < 0.5 * before.edge_rms_m, "{after:?}");
+        assert!(off_m < 0.05 && off_deg < 0.5, "{off_m} m, {off_deg}°");
+        let failed = |f: &lsfb_types::Finding| f.verdict == lsfb_types::Verdict::Fail;
+        assert!(!found.report.findings().iter().any(failed));
+    }
+    // A scan that is nowhere near is named.
+    let mut scans = given;
+    scans[4].world_from_lidar = Se3::exp(&Vector6::new(0.0, 0.0, 1.3, 30.0, 40.0, 2.0));
+    let report = refine(&scans).report;
+    let [apart, ..] = &report.findings()[..] else {
+        panic!("{report:?}");
+    };
+    assert_eq!(apart.verdict, lsfb_types::Verdict::Fail, "{report:?}");
+    assert_eq!(report.least_matched_scan, 4);
+}
