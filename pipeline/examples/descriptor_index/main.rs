@@ -48,12 +48,17 @@ fn print_rows(folder: &Path, rows: &[Settings]) -> Result<(), Box<dyn Error>> {
     let queries = DescriptorFile::open(&folder.join("queries.bvecs"))?;
     let queries = queries.read(0..queries.len())?;
     let exact = exact::nearest(&folder.join("exact.ivecs"), &base, &queries)?;
+    // A map has its descriptors mapped into memory.
+    let mapped = match rows.iter().any(Settings::compares) {
+        true => base.read(0..base.len())?,
+        false => Vec::new(),
+    };
     println!("{} descriptors, {} queries", base.len(), queries.len());
     println!("{}", Row::HEAD);
     for settings in rows {
         println!(
             "{}",
-            trial::measure(settings, folder, &base, &queries, &exact)?
+            trial::measure(settings, folder, &base, &mapped, &queries, &exact)?
         );
     }
     Ok(())

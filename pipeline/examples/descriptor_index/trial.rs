@@ -26,6 +26,11 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Whether descriptors are compared exactly.
+    pub fn compares(&self) -> bool {
+        self.compared > NEAREST
+    }
+
     pub fn parse(numbers: &[&str]) -> Result<Self, Box<dyn Error>> {
         let numbers: Result<Vec<usize>, _> = numbers.iter().map(|n| n.parse()).collect();
         match numbers?[..] {
@@ -127,11 +132,13 @@ impl fmt::Display for Row {
     }
 }
 
-/// Builds an index, or opens it where it is, and searches it.
+/// Builds an index, or opens it where it is, and searches it. `mapped` are all descriptors, as a map has them in memory, where a row
+/// compares some.
 pub fn measure(
     settings: &Settings,
     folder: &Path,
     base: &DescriptorFile,
+    mapped: &[Descriptor],
     queries: &[Descriptor],
     exact: &[[u32; NEAREST]],
 ) -> Result<Row, Box<dyn Error>> {
@@ -170,8 +177,8 @@ pub fn measure(
         for query in queries {
             let near = index.search(query, compared.max(NEAREST), probes, &mut scratch);
             let mut near: Vec<u32> = near.iter().map(|n| n.descriptor).collect();
-            if compared > NEAREST {
-                near = nearest_of(query, &near, base)?;
+            if settings.compares() {
+                near = nearest_of(query, &near, mapped);
             }
             found.push(near);
         }
@@ -206,21 +213,12 @@ pub fn measure(
 }
 
 /// The nearest of some by their exact distances.
-fn nearest_of(
-    query: &Descriptor,
-    some: &[u32],
-    base: &DescriptorFile,
-) -> Result<Vec<u32>, Box<dyn Error>> {
-    let mut compared = Vec::with_capacity(some.len());
-    for place in some {
-        let at = *place as usize;
-        let read = base.read(at..at + 1)?;
-        compared.extend(read.iter().map(|d| (distance_squared(query, d), *place)));
-    }
+fn nearest_of(query: &Descriptor, some: &[u32], mapped: &[Descriptor]) -> Vec<u32> {
+    let distances = some
+        .iter()
+        .map(|place| (distance_squared(query, &mapped[*place as usize]), *place));
+    let mut compared: Vec<(u32, u32)> = distances.collect();
     compared.sort_unstable();
-    Ok(compared
-        .into_iter()
-        .take(NEAREST)
-        .map(|(_, place)| place)
-        .collect())
+    compared.truncate(NEAREST);
+    compared.into_iter().map(|(_, place)| place).collect()
 }

@@ -2,6 +2,7 @@
 
 use super::acceptance::{Agreement, Evidence, decades_together, image_spread};
 use super::focal_length::{FocalFit, fit_focal_length, other_focal_lengths};
+use super::given_poses::{OWN_PER_MAP_ERROR, pose_among_given};
 use super::guided_matching::Query;
 use super::localizer::{Found, Hypothesis, Localizer};
 use super::matches::{PointMatch, PosedMatches};
@@ -40,11 +41,21 @@ impl Localizer {
             huber_px: self.config.ransac.refinement.huber_px,
         };
         let log_focal = near.map_or((0.0, 0.0), |fit| (fit.log_scale, fit.log_sigma));
-        let shared = shared_covariance(&posed, log_focal, &self.map_error)?;
+        let among_given = pose_among_given(query, pose, &self.map_error);
+        // The given poses next to it are in the pose among them.
+        let of_map = match among_given {
+            Some(_) => self.map_error.scaled(OWN_PER_MAP_ERROR),
+            None => self.map_error,
+        };
+        let shared = shared_covariance(&posed, log_focal, &of_map)?;
         let pose = found.hypothesis.pose;
+        let (world_from_rig, covariance) = match among_given {
+            Some(among) => (among.world_from_rig, among.covariance),
+            None => (pose.world_from_rig, pose.covariance),
+        };
         Some(Localization {
-            world_from_rig: pose.world_from_rig,
-            covariance: pose.covariance + shared,
+            world_from_rig,
+            covariance: covariance + shared,
             matches: pose.matches,
             reprojection_rms_px: pose.reprojection_rms_px,
             votes: found.hypothesis.votes,

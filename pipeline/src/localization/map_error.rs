@@ -82,6 +82,14 @@ impl MapError {
         }
     }
 
+    /// This share of it.
+    pub fn scaled(self, share: f64) -> Self {
+        Self {
+            rotation_rad: share * self.rotation_rad,
+            translation_m: share * self.translation_m,
+        }
+    }
+
     /// Covariance of a pose, tangent `[rotation, translation]`.
     pub fn covariance(&self) -> Matrix6<f64> {
         let (r, t) = (self.rotation_rad.powi(2), self.translation_m.powi(2));

@@ -2,12 +2,14 @@
 //!
 //! Each feature asks the map's index for its nearest descriptors; the points found vote for the map's images that saw
 //! them; around the images with most votes, features and points are paired and [`estimate_pose`] looks for the pose
-//! most pairs agree with; projecting the map with it finds the rest (Liu et al., section V-A).
+//! most pairs agree with; projecting the map with it finds the rest (Liu et al., section V-A). Among poses that were given, the images next
+//! to it say where it is at last.
 
 mod acceptance;
 mod config;
 mod covariance;
 mod focal_length;
+mod given_poses;
 mod guided_matching;
 mod joint_focal_length;
 mod judging;

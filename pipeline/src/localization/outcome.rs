@@ -25,7 +25,8 @@ pub struct Localization {
     pub world_from_rig: Se3,
     /// Covariance of the pose, tangent `[rotation, translation]` on the right, rad² and m²: of the errors that its matches show, alone
     /// and in neighbourhoods, those of the map's points among them; of focal lengths that are a little off, of rows that were exposed
-    /// one after the other, and of how far the map's own images are from where its points place them.
+    /// one after the other, and of how far the map's own images are from where its points place them. Where the map's poses were given,
+    /// the pose is adjusted together with those of the images next to it, and the covariance is that of the adjustment.
     pub covariance: Matrix6<f64>,
     /// Its inliers, by frame and keypoint.
     pub matches: Vec<FeatureMatch>,
