@@ -5,17 +5,16 @@
 //! scan would have to be moved to fit is what the map is off by there.
 
 use lsfb_geometry::{RigLidar, Trajectory};
-use lsfb_recording::Recording;
-use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
 use super::MappingConfig;
-use super::keyframe_scans::{add_lidar_features, deskewed};
+use super::keyframe_scans::add_lidar_features;
 use super::keyframes::Keyframe;
 use super::scan_offsets::ScanOffsets;
+use super::scan_source::{ScanSource, TakenScan};
 use crate::Error;
 use crate::lidar_features::ScanOffset;
-use crate::odometry::scan_count;
 
 /// Scans that are looked at are so far apart, seconds.
 const EVERY_S: f64 = 0.25;
@@ -29,24 +28,24 @@ const BATCH: usize = 32;
 
 /// Looks at the scans of a recording at the poses of its map; `None` where none can be held against anything.
 pub(super) fn offsets_of_scans(
-    recording: &Recording,
+    source: ScanSource<'_>,
+    total: u64,
     lidar: &RigLidar,
     keyframes: &mut [Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Option<ScanOffsets>, Error> {
-    add_lidar_features(recording, lidar, keyframes, trajectory, config, progress)?;
+    add_lidar_features(source, lidar, keyframes, trajectory, config, progress)?;
     let keyframes = &*keyframes;
-    let off = |scan: &Stamped<LidarScan>| {
+    let off = |scan: &TakenScan<'_>| {
         let offset = offset_of(scan, lidar, keyframes, trajectory, config)?;
-        Some((scan.time, offset))
+        Some((scan.time(), offset))
     };
-    let total = scan_count(recording);
     let (mut first, mut last) = (None, None);
     let mut waiting = Vec::new();
     let mut offsets: Vec<(Timestamp, ScanOffset)> = Vec::new();
-    let mut look = |waiting: &mut Vec<Stamped<LidarScan>>, done: u64| {
+    let mut look = |waiting: &mut Vec<TakenScan<'_>>, done: u64| {
         offsets.par_extend(waiting.par_iter().filter_map(off));
         waiting.clear();
         progress(Progress {
@@ -56,12 +55,12 @@ pub(super) fn offsets_of_scans(
         })
     };
     // Damaged ones are told by the stages before.
-    for (done, scan) in (0..).zip(recording.scans()?.flatten()) {
-        first.get_or_insert(scan.time);
-        if last.is_some_and(|last| scan.time.secs_since(last) < EVERY_S) {
+    for (done, scan) in (0..).zip(source.scans()?.flatten()) {
+        first.get_or_insert(scan.time());
+        if last.is_some_and(|last| scan.time().secs_since(last) < EVERY_S) {
             continue;
         }
-        last = Some(scan.time);
+        last = Some(scan.time());
         waiting.push(scan);
         if waiting.len() >= BATCH {
             look(&mut waiting, done)?;
@@ -73,13 +72,13 @@ pub(super) fn offsets_of_scans(
 
 /// The less of what two keyframes near by say: what one alone sees otherwise has moved.
 fn offset_of(
-    scan: &Stamped<LidarScan>,
+    scan: &TakenScan<'_>,
     lidar: &RigLidar,
     keyframes: &[Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
 ) -> Option<ScanOffset> {
-    let scan = deskewed(scan, lidar, trajectory, config)?;
+    let scan = scan.at_one_instant(lidar, trajectory, config)?;
     let strangers_s = config.scan_window_secs + SCAN_S;
     let mut near: Vec<(f64, &Keyframe)> = keyframes
         .iter()
