@@ -8,10 +8,10 @@ use lsfb_perception::lidar::voxel_downsample;
 
 use super::{Crease, LidarFeatureConfig, ScanFeatures, THINNING_M, creases_of_ring};
 
-/// Pieces of a ring over which points are averaged: from this length on, each twice as long after two steps, up to the last, metres. Longer ones would join
-/// what are different things.
+/// Pieces of a ring over which points are averaged: from this length on, each a tenth longer than the one before, up to the last, metres. Longer ones would
+/// join what are different things.
 const SHORTEST_M: f64 = 0.02;
-const LONGER: f64 = std::f64::consts::SQRT_2;
+const LONGER: f64 = 1.1;
 const LONGEST_M: f64 = 0.25;
 /// Where that is not enough, as for clouds without rings, voxels are, from this edge on, metres.
 const SMALLEST_VOXEL_M: f64 = 0.05;
@@ -55,10 +55,11 @@ impl ReducedScan {
         }
         let room = (share * all as f64) as usize;
         let room = room.saturating_sub(POINTS_PER_BEND * bends.len());
-        let mut length_m = SHORTEST_M;
+        // Each point by itself, where there is room for all.
+        let mut length_m = 0.0;
         let mut surfaces = averaged(&pieces, length_m);
         while surfaces.len() > room && length_m < LONGEST_M {
-            length_m *= LONGER;
+            length_m = f64::max(LONGER * length_m, SHORTEST_M);
             surfaces = averaged(&pieces, length_m);
         }
         let mut voxel_m = SMALLEST_VOXEL_M;

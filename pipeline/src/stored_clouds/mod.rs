@@ -62,8 +62,30 @@ pub struct StoringConfig<'a> {
     pub share: f64,
 }
 
-/// Stores the scans of a recording that the odometry found a place for, deskewed by its trajectory.
+/// Stores the scans of a recording that the odometry found a place for, deskewed by its trajectory. Written under another name first, so that a file by this name is
+/// always whole.
 pub fn store_clouds(
+    recording: &Recording,
+    odometry: &OdometryResult,
+    config: &StoringConfig<'_>,
+    path: &Path,
+    progress: ProgressFn<'_>,
+) -> Result<StoredReport, Error> {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    let partial = PathBuf::from(partial);
+    let stored = store(recording, odometry, config, &partial, progress).and_then(|report| {
+        std::fs::rename(&partial, path).map_err(Error::io(path))?;
+        Ok(report)
+    });
+    if stored.is_err() {
+        // What failed is the reason to tell.
+        let _ = std::fs::remove_file(&partial);
+    }
+    stored
+}
+
+fn store(
     recording: &Recording,
     odometry: &OdometryResult,
     config: &StoringConfig<'_>,
@@ -80,7 +102,7 @@ pub fn store_clouds(
     let mut report = StoredReport::default();
     let mut waiting: Vec<Stamped<LidarScan>> = Vec::new();
     let total = scan_count(recording);
-    let mut store = |waiting: &mut Vec<Stamped<LidarScan>>, done: u64| -> Result<(), Error> {
+    let mut flush = |waiting: &mut Vec<Stamped<LidarScan>>, done: u64| -> Result<(), Error> {
         let reduced: Vec<_> = waiting
             .par_iter()
             .map(|scan| {
@@ -116,10 +138,10 @@ pub fn store_clouds(
             waiting.push(scan);
         }
         if waiting.len() >= BATCH {
-            store(&mut waiting, done)?;
+            flush(&mut waiting, done)?;
         }
     }
-    store(&mut waiting, total)?;
+    flush(&mut waiting, total)?;
     writer.finish()?;
     Ok(report)
 }

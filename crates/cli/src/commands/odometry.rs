@@ -232,6 +232,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         context.claim(list, &read)?;
     }
     if let Some(clouds) = &arguments.out_clouds {
+        let others = [
+            Some(&arguments.out),
+            Some(&beside),
+            arguments.out_loops.as_ref(),
+        ];
+        anyhow::ensure!(
+            !others.contains(&Some(clouds)),
+            "{} is written twice: give --out-clouds a file of its own",
+            clouds.display()
+        );
         context.claim(clouds, &read)?;
     }
     let choice = Choice {

@@ -64,7 +64,7 @@ impl Chain {
                 return None;
             }
             if now == last {
-                let stated = scans.from(first, last);
+                let stated = scans.seen_from(first, last);
                 off_m = seen_off_m(&points, &stated, &found, &settings, config, planes);
             }
             map.insert(&points, &found.world_from_rig, &sensor_in_rig);
@@ -80,7 +80,11 @@ impl Chain {
     /// How much better its scans lie on each other than as the trajectory has them, as the logarithm of what is likely, per point.
     pub fn better(&self, scans: &Scans<'_>, config: &OdometryConfig) -> Option<f64> {
         let first = *self.scans.first()?;
-        let stated: Vec<Se3> = self.scans.iter().map(|k| scans.from(first, *k)).collect();
+        let stated: Vec<Se3> = self
+            .scans
+            .iter()
+            .map(|k| scans.seen_from(first, *k))
+            .collect();
         let cost = |poses: &[Se3]| lie(scans, config, &self.scans, poses);
         Some(cost(&stated)? - cost(&self.poses)?)
     }
@@ -90,7 +94,7 @@ impl Chain {
 fn evenly(scans: &Scans<'_>, members: &[usize], poses: &[Se3]) -> Se3 {
     let n = poses.len();
     let (before, now) = (members[n - 1], members[n]);
-    let step = scans.from(before, now);
+    let step = scans.seen_from(before, now);
     let Some(earlier) = n.checked_sub(2) else {
         return step;
     };

@@ -53,7 +53,7 @@ impl Scans<'_> {
     }
 
     /// Where the trajectory has a scan, seen from another.
-    pub(super) fn from(&self, reference: usize, k: usize) -> Se3 {
+    pub(super) fn seen_from(&self, reference: usize, k: usize) -> Se3 {
         self.poses[reference].world_from_rig.inverse() * self.poses[k].world_from_rig
     }
 }
@@ -175,12 +175,16 @@ fn off_by_map(
     let sensor_in_rig = lidar.rig_from_lidar.translation;
     let mut map = LocalMap::new(config.local_map(lidar));
     for k in first - BESIDE..=first + BESIDE {
-        map.insert(&scans.points(k)?, &scans.from(first, k), &sensor_in_rig);
+        map.insert(
+            &scans.points(k)?,
+            &scans.seen_from(first, k),
+            &sensor_in_rig,
+        );
     }
     let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
         on_planes(&map, points, &sensor_in_rig, pose, gate_m)
     };
-    let stated = scans.from(first, second);
+    let stated = scans.seen_from(first, second);
     let prior = PosePrior {
         world_from_rig: stated,
         information: Matrix6::identity(),

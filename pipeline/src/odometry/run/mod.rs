@@ -234,9 +234,7 @@ impl OdometryRun {
             untold::widen(&mut result, |along| {
                 is_told_along(&by_scans, &unseen, &self.samples, along)
             });
-        }
-        if result.report.imu_samples > 0 {
-            self.lay_scans(&mut result);
+            lay_scans(&mut result, &self.config);
         }
         let little = result.report.little_agreement();
         result.report.warnings.extend(little);
@@ -260,32 +258,28 @@ impl OdometryRun {
     }
 }
 
-impl OdometryRun {
-    /// Says where scans lie elsewhere on each other than the trajectory has them, and where nothing tells.
-    fn lay_scans(&self, result: &mut OdometryResult) {
-        let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
-        let clouds = result.clouds.iter();
-        let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
-        let scans = Scans {
-            poses: &poses,
-            clouds: &clouds,
-            lidar: &result.lidar,
-        };
-        let laid = lay(&scans, &self.config);
-        let warnings = &mut result.report.warnings;
-        warnings.extend(laid.off.map(|off| OdometryWarning::ScansApart {
-            off_m: off.off_m,
-            from_s: off.from_s,
-            to_s: off.to_s,
-        }));
-        // Where scans are rare that is said, and that nothing is to be relied on.
-        let unchecked = laid.unchecked.into_iter();
-        let unchecked = unchecked.filter(|_| !result.report.has_rare_scans());
-        let unchecked: Vec<_> = unchecked
-            .map(|[from_s, to_s]| OdometryWarning::ScansUnchecked { from_s, to_s })
-            .collect();
-        result.report.warnings.extend(unchecked);
-    }
+/// Says where scans lie elsewhere on each other than the trajectory has them, and where nothing tells.
+fn lay_scans(result: &mut OdometryResult, config: &OdometryConfig) {
+    let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
+    let clouds = result.clouds.iter();
+    let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
+    let scans = Scans {
+        poses: &poses,
+        clouds: &clouds,
+        lidar: &result.lidar,
+    };
+    let laid = lay(&scans, config);
+    let is_rare = result.report.has_rare_scans();
+    let warnings = &mut result.report.warnings;
+    warnings.extend(laid.off.map(|off| OdometryWarning::ScansApart {
+        off_m: off.off_m,
+        from_s: off.from_s,
+        to_s: off.to_s,
+    }));
+    // Where scans are rare that is said, and that covariances are not to be relied on.
+    let unchecked = laid.unchecked.into_iter().filter(|_| !is_rare);
+    warnings
+        .extend(unchecked.map(|[from_s, to_s]| OdometryWarning::ScansUnchecked { from_s, to_s }));
 }
 
 /// From a scan's first point to its last, seconds; 0 where points carry no times.
