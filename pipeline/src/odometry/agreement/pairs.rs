@@ -155,10 +155,12 @@ fn pair_off(
     second: usize,
 ) -> Option<f64> {
     let by_map = off_by_map(scans, config, first, second);
-    let chain = Chain::new(scans, config, first, second, MIN_OVERLAP);
-    let Some(chain) = chain.filter(|c| c.off_m > OFF_M.max(by_map.unwrap_or(0.0))) else {
+    let Some(chain) = Chain::new(scans, config, first, second, MIN_OVERLAP) else {
         return by_map;
     };
+    if chain.off_m <= OFF_M.max(by_map.unwrap_or(0.0)) {
+        return by_map.or(Some(chain.off_m));
+    }
     match chain.better(scans, config) {
         Some(better) if better > BETTER => Some(chain.off_m),
         _ => by_map,
