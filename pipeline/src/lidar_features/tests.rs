@@ -7,10 +7,12 @@ use lsfb_solver::{Kernel, Problem, SolveConfig, solve};
 
 /// Features at `t` from five scans before and after, placed with the true motion.
 fn features_at(room: &Room, t: f64) -> LidarFeatures {
-    joined_at(room, t, &|rings, lidar, config| {
-        let sensor_in_rig = lidar.rig_from_lidar.translation;
-        ScanFeatures::extract(rings, &sensor_in_rig, lidar.range_noise_m, config)
-    })
+    joined_at(room, t, &of_rings)
+}
+
+fn of_rings(rings: &Rings, lidar: &RigLidar, config: &LidarFeatureConfig) -> ScanFeatures {
+    let sensor_in_rig = lidar.rig_from_lidar.translation;
+    ScanFeatures::extract(rings, &sensor_in_rig, lidar.range_noise_m, config)
 }
 
 /// The rings of a scan, in the rig at its beginning.
@@ -189,7 +191,9 @@ fn eq4_terms_recover_a_pose_from_wrong_guesses() {
 fn a_scan_that_lies_off_is_found_to() {
     let room = Room::furnished();
     let keyframe = features_at(&room, 2.0);
-    let scan = scan_features(&room, 4.0, &room::lidar(), &LidarFeatureConfig::default());
+    let lidar = room::lidar();
+    let scan = rings(&room, 4.0, &lidar);
+    let scan = of_rings(&scan, &lidar, &LidarFeatureConfig::default());
     let truth = room::world_from_rig(2.0).inverse() * room::world_from_rig(4.0);
     for off in [
         [0.0; 6],

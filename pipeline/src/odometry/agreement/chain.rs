@@ -7,11 +7,9 @@
 use lsfb_geometry::{Matrix6, Se3, Vector3};
 use lsfb_perception::lidar::{LocalMap, Match, PosePrior, register};
 
-use super::pairs::{GATE_M, Scans, seen_off_m};
+use super::scans::{GATE_M, Scans, on_planes, seen_off_m};
 use crate::odometry::OdometryConfig;
 
-/// Every so many scans one is taken.
-const EVERY: usize = 2;
 /// Farthest that a point is held against a surface where it is asked how scans lie on each other, metres.
 const LIE_M: f64 = 0.3;
 /// What a point costs that lies on none: more than one at three standard deviations of a plane.
@@ -21,9 +19,8 @@ const MOST_SQUARES: f64 = 9.0;
 
 /// Scans joined without the trajectory.
 pub(super) struct Chain {
-    /// Of the scans of the walk.
-    scans: Vec<usize>,
-    /// Each in the rig of the first.
+    first: usize,
+    /// Of the first and each behind it, in the rig of the first.
     poses: Vec<Se3>,
     /// By how much the trajectory has the last of them elsewhere, along what is seen, metres.
     pub off_m: f64,
@@ -38,19 +35,16 @@ impl Chain {
         last: usize,
         least_overlap: f64,
     ) -> Option<Self> {
-        let mut members: Vec<usize> = (first..last).step_by(EVERY).collect();
-        members.push(last);
         let settings = config.registration(scans.lidar, GATE_M.min(config.initial_gate_m));
         let sensor_in_rig = scans.lidar.rig_from_lidar.translation;
         let mut map = LocalMap::new(config.local_map(scans.lidar));
         map.insert(&scans.points(first)?, &Se3::identity(), &sensor_in_rig);
         let mut poses = vec![Se3::identity()];
         let mut off_m = None;
-        for step in members.windows(2) {
-            let now = step[1];
+        for now in first + 1..=last {
             let points = scans.points(now)?;
             let prior = PosePrior {
-                world_from_rig: evenly(scans, &members, &poses),
+                world_from_rig: evenly(scans, first, &poses),
                 // Next to nothing: it holds what no plane does.
                 information: Matrix6::identity(),
             };
@@ -71,7 +65,7 @@ impl Chain {
             poses.push(found.world_from_rig);
         }
         Some(Self {
-            scans: members,
+            first,
             poses,
             off_m: off_m?,
         })
@@ -79,27 +73,23 @@ impl Chain {
 
     /// How much better its scans lie on each other than as the trajectory has them, as the logarithm of what is likely, per point.
     pub fn better(&self, scans: &Scans<'_>, config: &OdometryConfig) -> Option<f64> {
-        let first = *self.scans.first()?;
-        let stated: Vec<Se3> = self
-            .scans
-            .iter()
-            .map(|k| scans.seen_from(first, *k))
-            .collect();
-        let cost = |poses: &[Se3]| lie(scans, config, &self.scans, poses);
+        let members = (self.first..).take(self.poses.len());
+        let stated: Vec<Se3> = members.map(|k| scans.seen_from(self.first, k)).collect();
+        let cost = |poses: &[Se3]| lie(scans, config, self.first, poses);
         Some(cost(&stated)? - cost(&self.poses)?)
     }
 }
 
 /// Where an even motion has the next scan; its turn is the trajectory's, which has it of the gyroscope. The first step is the trajectory's.
-fn evenly(scans: &Scans<'_>, members: &[usize], poses: &[Se3]) -> Se3 {
+fn evenly(scans: &Scans<'_>, first: usize, poses: &[Se3]) -> Se3 {
     let n = poses.len();
-    let (before, now) = (members[n - 1], members[n]);
-    let step = scans.seen_from(before, now);
+    let before = first + n - 1;
+    let step = scans.seen_from(before, before + 1);
     let Some(earlier) = n.checked_sub(2) else {
         return step;
     };
     let seconds = |a: usize, b: usize| scans.poses[b].time.secs_since(scans.poses[a].time);
-    let share = seconds(before, now) / seconds(members[earlier], before);
+    let share = seconds(before, before + 1) / seconds(before - 1, before);
     let here = poses[n - 1].translation;
     Se3::new(
         poses[n - 1].rotation * step.rotation,
@@ -107,39 +97,19 @@ fn evenly(scans: &Scans<'_>, members: &[usize], poses: &[Se3]) -> Se3 {
     )
 }
 
-/// What each point belongs to, planes alone.
-pub(super) fn on_planes(
-    map: &LocalMap,
-    points: &[Vector3<f64>],
-    sensor_in_rig: &Vector3<f64>,
-    pose: &Se3,
-    gate_m: f64,
-) -> Vec<Option<Match>> {
-    let mut found = map.find_all(points, sensor_in_rig, pose, gate_m);
-    for m in &mut found {
-        *m = m.filter(|m| matches!(m, Match::Plane(_)));
-    }
-    found
-}
-
 /// How ill scans lie on each other at these poses: each half of them on planes of the other, the mean of all points.
-fn lie(
-    scans: &Scans<'_>,
-    config: &OdometryConfig,
-    members: &[usize],
-    poses: &[Se3],
-) -> Option<f64> {
+fn lie(scans: &Scans<'_>, config: &OdometryConfig, first: usize, poses: &[Se3]) -> Option<f64> {
     let sensor_in_rig = scans.lidar.rig_from_lidar.translation;
     let noise_m = config.registration(scans.lidar, LIE_M).range_noise_m;
     let (mut sum, mut count) = (0.0, 0_usize);
     for half in [0, 1] {
         let mut map = LocalMap::new(config.local_map(scans.lidar));
-        let placed = || members.iter().zip(poses).enumerate();
-        for (_, (k, pose)) in placed().filter(|(at, _)| at % 2 == half) {
-            map.insert(&scans.points(*k)?, pose, &sensor_in_rig);
+        let placed = |of: usize| poses.iter().enumerate().filter(move |(at, _)| at % 2 == of);
+        for (at, pose) in placed(half) {
+            map.insert(&scans.points(first + at)?, pose, &sensor_in_rig);
         }
-        for (_, (k, pose)) in placed().filter(|(at, _)| at % 2 != half) {
-            let points = scans.points(*k)?;
+        for (at, pose) in placed(1 - half) {
+            let points = scans.points(first + at)?;
             let found = on_planes(&map, &points, &sensor_in_rig, pose, LIE_M);
             let costs = points.iter().zip(found).map(|(point, found)| match found {
                 Some(Match::Plane(plane)) => {

@@ -11,6 +11,7 @@ mod clock;
 mod extrinsic;
 mod pairs;
 mod scale;
+mod scans;
 mod triples;
 mod turns;
 
@@ -22,7 +23,8 @@ use lsfb_types::{ImuSample, Stamped};
 
 use super::OdometryWarning;
 use axes::Sensor;
-pub(super) use pairs::{Scans, lay};
+pub(super) use pairs::lay;
+pub(super) use scans::Scans;
 use turns::Turns;
 
 /// A scan that is not deskewed is turned as its carrier was some time within the sweep, not at its stamp: a clock may look so late by that alone, seconds.

@@ -5,16 +5,14 @@
 //! alone by planes and without the IMU's help, and held against the trajectory along the directions that they see; and to a chain of the scans between them.
 //! The walk is judged by its worst stretch, as half of one may be right.
 
-use lsfb_geometry::{Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
-use lsfb_perception::lidar::{
-    LocalMap, Match, PosePrior, Registration, RegistrationConfig, observability, register,
-};
+use lsfb_geometry::{Matrix6, Se3, Vector3};
+use lsfb_perception::lidar::{LocalMap, PosePrior, register};
 use lsfb_perception::statistics::median;
 use rayon::prelude::*;
 
-use super::chain::{Chain, on_planes};
+use super::chain::Chain;
+use super::scans::{GATE_M, Scans, on_planes, seen_off_m};
 use crate::odometry::OdometryConfig;
-use crate::odometry::degeneracy::LEAST_SEEN_PER_M2;
 
 /// From the scan in the middle of the map to the one that is registered, seconds: at least and at most.
 const LATER_S: std::ops::RangeInclusive<f64> = 0.9..=1.3;
@@ -27,36 +25,12 @@ const SHORT_WALK: f64 = 12.0;
 const IN_A_STRETCH: usize = 3;
 /// A stretch in which no pair tells anything is said to be so from this long on, seconds.
 const UNCHECKED_S: f64 = 10.0;
-/// Farthest correspondences, metres.
-pub(super) const GATE_M: f64 = 1.0;
 /// A pair of which less lies on each other tells nothing.
 const MIN_OVERLAP: f64 = 0.4;
 /// Half of the pairs of a stretch are off by more: metres. Right ones come to three centimetres at most.
 const OFF_M: f64 = 0.06;
 /// A chain counts where its scans lie so much better on each other: right walks come to 0.08, wrong ones to 0.4 and more.
 const BETTER: f64 = 0.15;
-
-/// Scans and where the trajectory has them.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::odometry) struct Scans<'a> {
-    pub poses: &'a [StampedPose],
-    /// Points of each in the rig, metres.
-    pub clouds: &'a [&'a [[f32; 3]]],
-    pub lidar: &'a RigLidar,
-}
-
-impl Scans<'_> {
-    /// Points of a scan in its rig.
-    pub(super) fn points(&self, k: usize) -> Option<Vec<Vector3<f64>>> {
-        let points = self.clouds.get(k)?.iter();
-        Some(points.map(|p| Vector3::from(p.map(f64::from))).collect())
-    }
-
-    /// Where the trajectory has a scan, seen from another.
-    pub(super) fn seen_from(&self, reference: usize, k: usize) -> Se3 {
-        self.poses[reference].world_from_rig.inverse() * self.poses[k].world_from_rig
-    }
-}
 
 /// What scans that are laid on each other say of a trajectory.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -198,26 +172,6 @@ fn off_by_map(
     });
     let off_m = seen_off_m(&points, &stated, &found, &settings, config, planes)?;
     (found.inlier_ratio > MIN_OVERLAP).then_some(off_m)
-}
-
-/// How far a scan was found from where it is said to be, along the directions that it sees, metres.
-pub(super) fn seen_off_m(
-    points: &[Vector3<f64>],
-    stated: &Se3,
-    found: &Registration,
-    settings: &RegistrationConfig,
-    config: &OdometryConfig,
-    planes: impl FnMut(&[Vector3<f64>], &Se3, f64) -> Vec<Option<Match>>,
-) -> Option<f64> {
-    let shift_m = 0.5 * config.finest_cell_m();
-    let seen = observability(points, found, settings, shift_m, planes)?;
-    let r = seen.usual_range_m;
-    let off = stated.local(&found.world_from_rig);
-    let off_m = off.component_mul(&Vector6::new(r, r, r, 1.0, 1.0, 1.0));
-    let directions = seen.directions.iter();
-    let directions = directions.filter(|d| d.seen_per_m2() > LEAST_SEEN_PER_M2);
-    let off_m: Vector6<f64> = directions.map(|d| d.along * d.along.dot(&off_m)).sum();
-    Some(off_m.fixed_rows::<3>(3).norm())
 }
 
 #[cfg(test)]
