@@ -53,6 +53,14 @@ pub enum Error {
         /// Size of this one, pixels.
         found_px: [u32; 2],
     },
+    /// Stored clouds cannot be mapped with.
+    #[error("{path}: {reason}", path = path.display())]
+    StoredClouds {
+        /// The file.
+        path: PathBuf,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// A list of posed images is not what it should be.
     #[error("{path}, line {line}: {reason}", path = path.display())]
     PosedImages {

@@ -26,6 +26,7 @@ pub mod preintegration;
 pub mod residuals;
 mod sampling;
 mod solve;
+pub mod stored_clouds;
 pub mod surface;
 pub mod two_view;
 

@@ -9,6 +9,7 @@
 //! are no plane.
 
 mod offset;
+mod reduced;
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
 use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, PlaneMap, voxel_downsample};
@@ -18,6 +19,7 @@ use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
 
 pub use offset::ScanOffset;
+pub use reduced::{POINTS_PER_BEND, ReducedScan};
 
 /// What counts as a feature, and as a correspondence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -143,7 +145,7 @@ impl ScanFeatures {
             .flat_map(|(ring, points)| {
                 creases_of_ring(points, sensor_in_rig, range_noise_m, config)
                     .into_iter()
-                    .map(move |bend| Crease { ring, bend })
+                    .map(move |(_, bend)| Crease { ring, bend })
             })
             .collect();
         Self {
@@ -274,12 +276,13 @@ impl Crease {
     }
 }
 
+/// Where a ring bends, each with the number of the point that is nearest to it in firing order.
 fn creases_of_ring(
     points: &[Vector3<f64>],
     sensor: &Vector3<f64>,
     range_noise_m: f64,
     config: &LidarFeatureConfig,
-) -> Vec<[Vector3<f64>; 3]> {
+) -> Vec<(usize, [Vector3<f64>; 3])> {
     let Some(step_rad) = azimuth_step_rad(points, sensor) else {
         return Vec::new();
     };
@@ -323,11 +326,8 @@ fn creases_of_ring(
             let left = Line::fit(&points[i - half..i], range_noise_m)?;
             let right = Line::fit(&points[i + 1..i + half + 1], range_noise_m)?;
             let meeting = left.meet(&right, config.min_crease_deg)?;
-            ((meeting - points[i]).norm() < 0.5 * config.edge_window_m).then_some([
-                meeting,
-                left.point,
-                right.point,
-            ])
+            ((meeting - points[i]).norm() < 0.5 * config.edge_window_m)
+                .then_some((i, [meeting, left.point, right.point]))
         })
         .collect()
 }

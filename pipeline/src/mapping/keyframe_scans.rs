@@ -2,26 +2,23 @@
 
 use std::collections::VecDeque;
 
-use lsfb_geometry::{RigLidar, Se3, Trajectory};
-use lsfb_perception::lidar::{KNOT_NS, MotionKnot, RangeWindow, deskew_rings};
-use lsfb_recording::Recording;
-use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Stopped, Timestamp};
+use lsfb_geometry::{RigLidar, Trajectory};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::MappingConfig;
 use super::keyframes::Keyframe;
+use super::scan_source::{MiddleScan, ScanSource, TakenScan};
 use crate::Error;
-use crate::lidar_features::{LidarFeatures, PlacedScan, ScanFeatures};
+use crate::lidar_features::{LidarFeatures, PlacedScan};
 use crate::odometry::Damages;
 
-/// Poses a scan is deskewed by: up to 0.2 s, the slowest revolution.
-const SCAN_KNOTS: i64 = 40;
 /// Scans worked on at once: bounds the memory.
 const BATCH: usize = 32;
 
 /// Gives each keyframe the features of the scans around it.
 pub(super) fn add_lidar_features(
-    recording: &Recording,
+    source: ScanSource<'_>,
     lidar: &RigLidar,
     keyframes: &mut [Keyframe],
     trajectory: &Trajectory,
@@ -38,7 +35,7 @@ pub(super) fn add_lidar_features(
         next_keyframe: 0,
     };
     let mut waiting = Vec::new();
-    for scan in recording.scans()? {
+    for scan in source.scans()? {
         waiting.extend(damages.keep(scan));
         if waiting.len() >= BATCH {
             window.extract(&mut waiting);
@@ -49,52 +46,6 @@ pub(super) fn add_lidar_features(
     window.join_ready(keyframes, progress)?;
     window.join_until(keyframes, keyframes.len(), progress)?;
     Ok(())
-}
-
-/// A scan deskewed to its middle.
-pub(super) struct MiddleScan {
-    pub time: Timestamp,
-    pub world_from_rig: Se3,
-    pub features: ScanFeatures,
-}
-
-/// `None` outside the trajectory.
-pub(super) fn deskewed(
-    scan: &Stamped<LidarScan>,
-    lidar: &RigLidar,
-    trajectory: &Trajectory,
-    config: &MappingConfig,
-) -> Option<MiddleScan> {
-    let last = scan.sample.points.last().map_or(0, |p| p.time_offset_ns);
-    let time = scan.time.plus_nanos(i64::from(last / 2));
-    let world_from_rig = trajectory.at(time)?;
-    let rig_from_world = world_from_rig.inverse();
-    let knots: Vec<MotionKnot> = (0..=SCAN_KNOTS)
-        .filter_map(|i| {
-            let offset_ns = i * KNOT_NS;
-            let pose = trajectory.at(scan.time.plus_nanos(offset_ns))?;
-            Some(MotionKnot {
-                offset_ns,
-                reference_from_rig: rig_from_world * pose,
-            })
-        })
-        .collect();
-    let window = RangeWindow {
-        min_m: config.odometry.min_range_m,
-        max_m: config.odometry.max_range_m,
-    };
-    let rig_from_lidar = &lidar.rig_from_lidar;
-    let rings = deskew_rings(&scan.sample, rig_from_lidar, &knots, window);
-    Some(MiddleScan {
-        time,
-        world_from_rig,
-        features: ScanFeatures::extract(
-            &rings,
-            &rig_from_lidar.translation,
-            lidar.range_noise_m,
-            &config.lidar_features,
-        ),
-    })
 }
 
 /// The scans that keyframes still to come may need.
@@ -111,10 +62,10 @@ impl ScanWindow<'_> {
         (self.config.scan_window_secs * 1e9) as i64
     }
 
-    fn extract(&mut self, waiting: &mut Vec<Stamped<LidarScan>>) {
+    fn extract(&mut self, waiting: &mut Vec<TakenScan<'_>>) {
         let scans: Vec<Option<MiddleScan>> = waiting
             .par_iter()
-            .map(|scan| deskewed(scan, self.lidar, self.trajectory, self.config))
+            .map(|scan| scan.at_one_instant(self.lidar, self.trajectory, self.config))
             .collect();
         self.scans.extend(scans.into_iter().flatten());
         waiting.clear();

@@ -15,6 +15,7 @@ mod rig_check;
 mod scan_check;
 mod scan_offsets;
 mod scan_pairs;
+mod scan_source;
 mod weights;
 
 #[cfg(test)]
@@ -37,6 +38,7 @@ use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triang
 use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, run_odometry, scan_count};
+use crate::stored_clouds::StoredClouds;
 use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
 use adjustment::{Terms, adjust};
 pub use camera_error::CameraError;
@@ -53,6 +55,7 @@ use rig_check::{Checked, ShownCameras, camera_errors};
 use scan_check::offsets_of_scans;
 pub use scan_offsets::ScanOffsets;
 use scan_pairs::{scan_correspondences, scan_pairs};
+use scan_source::ScanSource;
 use weights::{Contradicted, Weights, lidar_residuals};
 
 /// Where Eq. (4) has the rig's poses from at first.
@@ -63,6 +66,29 @@ pub enum Start<'a> {
     /// Another program's SLAM: poses of the rig in a world with z upwards. How well it knows the motion from one keyframe to the next is taken
     /// from the settings, as the odometry's is, and counts less as soon as scans and images contradict it.
     Given(&'a Trajectory),
+}
+
+/// What a map is made of.
+#[derive(Clone, Copy)]
+pub struct Inputs<'a> {
+    /// Images, and scans unless these are stored.
+    pub recording: &'a Recording,
+    /// Where the rig's poses are from at first.
+    pub start: Start<'a>,
+    /// Its scans as the odometry stored them, instead of those of the recording: for planes and edges of Eq. (4), and to be held against the finished map. How scans
+    /// agree with one another along their beams is seen by those of the recording in any case.
+    pub clouds: Option<&'a StoredClouds>,
+}
+
+impl<'a> Inputs<'a> {
+    /// A recording alone, with the odometry to start from.
+    pub fn of(recording: &'a Recording) -> Self {
+        Self {
+            recording,
+            start: Start::Odometry,
+            clouds: None,
+        }
+    }
 }
 
 /// Rounds of correspondences and Eq. (4) from such a start, at most; from the odometry the settings say how many.
@@ -91,8 +117,7 @@ pub fn build_map(
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
     build_map_in_stages(
-        recording,
-        Start::Odometry,
+        &Inputs::of(recording),
         config,
         &KeptStages::none(),
         progress,
@@ -100,15 +125,20 @@ pub fn build_map(
 }
 
 /// [`build_map`] that goes on behind the stages that are kept already, and keeps those it finishes: the odometry, the features of the
-/// images, each round of Eq. (4), its result. The map is the same bit for bit. Stages of another start must not be among them.
+/// images, each round of Eq. (4), its result. The map is the same bit for bit. Stages of other inputs must not be among them.
 pub fn build_map_in_stages(
-    recording: &Recording,
-    start: Start<'_>,
+    inputs: &Inputs<'_>,
     config: &MappingConfig,
     stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
     config.check_bounds("mapping")?;
+    let Inputs {
+        recording,
+        start,
+        clouds,
+    } = *inputs;
+    let source = clouds.map_or(ScanSource::Recorded(recording), ScanSource::Stored);
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
     let cameras = find_cameras(recording, &rig, &mut report.warnings)?;
@@ -119,6 +149,11 @@ pub fn build_map_in_stages(
     report.odometry = by_odometry.odometry;
     report.warnings.extend(by_odometry.warnings);
     report.loops = by_odometry.loops;
+    report.warnings.extend(clouds.and_then(|clouds| {
+        let scans = scan_count(recording);
+        let missing = scans.saturating_sub(clouds.scan_count());
+        (missing > 2).then_some(MappingWarning::CloudsPartial { missing, scans })
+    }));
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let (mut keyframes, damaged) = stages.once("images", || {
         let mut damages = Damages::default();
@@ -147,13 +182,17 @@ pub fn build_map_in_stages(
     let (optimised, mut report) = stages.once("adjusted", || {
         if let Some(lidar) = rig.lidar() {
             add_lidar_features(
-                recording,
+                source,
                 lidar,
                 &mut keyframes.frames,
                 &trajectory,
                 config,
                 progress,
             )?;
+            if let Some(clouds) = clouds {
+                let without = keyframes.frames.iter().filter(|k| k.lidar.is_none());
+                clouds.expect_scans(without.count(), keyframes.frames.len())?;
+            }
         }
         let with = |rig: &Rig,
                     name: &'static str,
@@ -161,7 +200,7 @@ pub fn build_map_in_stages(
                     keyframes: &mut Keyframes,
                     report: &mut MappingReport| {
             let run = Run {
-                recording,
+                source,
                 given: matches!(start, Start::Given(_)),
                 stages,
                 name,
@@ -216,7 +255,8 @@ pub fn build_map_in_stages(
         report.scan_offsets = stages.once("scan-offsets", || {
             keyframes.place(&poses);
             let frames = &mut keyframes.frames;
-            offsets_of_scans(recording, lidar, frames, &trajectory, config, progress)
+            let total = scan_count(recording);
+            offsets_of_scans(source, total, lidar, frames, &trajectory, config, progress)
         })?;
     }
     report
@@ -360,7 +400,7 @@ struct Optimised {
 
 /// What rounds of Eq. (4) read, where they are kept, and under which name.
 struct Run<'a> {
-    recording: &'a Recording,
+    source: ScanSource<'a>,
     /// Whether the start is another program's.
     given: bool,
     stages: &'a KeptStages,
@@ -435,7 +475,7 @@ fn optimise(
         {
             let now = correct_trajectory(trajectory, odometry, poses);
             let frames = &mut keyframes.frames;
-            add_lidar_features(run.recording, lidar, frames, &now, config, progress)?;
+            add_lidar_features(run.source, lidar, frames, &now, config, progress)?;
         }
         let images = &keyframes.images;
         find_tracks(rig, poses, images, &config.reconstruction, progress)

@@ -210,6 +210,13 @@ pub enum MappingWarning {
         /// All scans.
         scans: u64,
     },
+    /// Stored clouds do not have all scans.
+    CloudsPartial {
+        /// Scans that are not among them.
+        missing: u64,
+        /// All scans.
+        scans: u64,
+    },
     /// Eq. (4) and its correspondences still changed one another when the last round was done.
     NotAtRest {
         /// Rounds.
@@ -304,6 +311,12 @@ impl MappingWarning {
                 format!("{missing} of {scans} scans are not within the trajectory that was given to start from: what they saw is not in the map"),
             )
             .remedy("give the whole trajectory of this recording"),
+            Self::CloudsPartial { missing, scans } => warn(
+                "clouds-partial",
+                "clouds",
+                format!("{missing} of {scans} scans are not among the stored clouds: what they saw is not in the map"),
+            )
+            .remedy("scans that the odometry loses are not stored: see its report"),
             Self::NotAtRest {
                 rounds,
                 moved_m,

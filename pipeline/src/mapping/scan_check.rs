@@ -5,17 +5,16 @@
 //! scan would have to be moved to fit is what the map is off by there.
 
 use lsfb_geometry::{RigLidar, Trajectory};
-use lsfb_recording::Recording;
-use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 
 use super::MappingConfig;
-use super::keyframe_scans::{add_lidar_features, deskewed};
+use super::keyframe_scans::add_lidar_features;
 use super::keyframes::Keyframe;
 use super::scan_offsets::{Beside, HeldScan, ScanOffsets};
 use super::scan_pairs::REVISIT_GAP;
+use super::scan_source::{ScanSource, TakenScan};
 use crate::Error;
-use crate::odometry::scan_count;
 
 /// Scans that are looked at are so far apart, seconds.
 const EVERY_S: f64 = 0.25;
@@ -32,34 +31,37 @@ const BATCH: usize = 32;
 
 /// Looks at the scans of a recording at the poses of its map; `None` where it has none.
 pub(super) fn offsets_of_scans(
-    recording: &Recording,
+    source: ScanSource<'_>,
+    total: u64,
     lidar: &RigLidar,
     keyframes: &mut [Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Option<ScanOffsets>, Error> {
-    let (first, held) = hold_scans(recording, lidar, keyframes, trajectory, config, progress)?;
+    let (first, held) = hold_scans(
+        source, total, lidar, keyframes, trajectory, config, progress,
+    )?;
     Ok(first.map(|first| ScanOffsets::of(first, &held)))
 }
 
 /// When the first scan is, and each scan beside the keyframes that it is held against, in order of time.
 fn hold_scans(
-    recording: &Recording,
+    source: ScanSource<'_>,
+    total: u64,
     lidar: &RigLidar,
     keyframes: &mut [Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<(Option<Timestamp>, Vec<HeldScan>), Error> {
-    add_lidar_features(recording, lidar, keyframes, trajectory, config, progress)?;
+    add_lidar_features(source, lidar, keyframes, trajectory, config, progress)?;
     let keyframes = &*keyframes;
-    let hold = |scan: &Stamped<LidarScan>| hold_scan(scan, lidar, keyframes, trajectory, config);
-    let total = scan_count(recording);
+    let hold = |scan: &TakenScan<'_>| hold_scan(scan, lidar, keyframes, trajectory, config);
     let (mut first, mut last) = (None, None);
     let mut waiting = Vec::new();
     let mut held: Vec<HeldScan> = Vec::new();
-    let mut look = |waiting: &mut Vec<Stamped<LidarScan>>, done: u64| {
+    let mut look = |waiting: &mut Vec<TakenScan<'_>>, done: u64| {
         held.par_extend(waiting.par_iter().flat_map_iter(hold));
         waiting.clear();
         progress(Progress {
@@ -69,12 +71,12 @@ fn hold_scans(
         })
     };
     // Damaged ones are told by the stages before.
-    for (done, scan) in (0..).zip(recording.scans()?.flatten()) {
-        first.get_or_insert(scan.time);
-        if last.is_some_and(|last| scan.time.secs_since(last) < EVERY_S) {
+    for (done, scan) in (0..).zip(source.scans()?.flatten()) {
+        first.get_or_insert(scan.time());
+        if last.is_some_and(|last| scan.time().secs_since(last) < EVERY_S) {
             continue;
         }
-        last = Some(scan.time);
+        last = Some(scan.time());
         waiting.push(scan);
         if waiting.len() >= BATCH {
             look(&mut waiting, done)?;
@@ -86,13 +88,13 @@ fn hold_scans(
 
 /// A scan beside all keyframes that it is held against.
 fn hold_scan(
-    scan: &Stamped<LidarScan>,
+    scan: &TakenScan<'_>,
     lidar: &RigLidar,
     keyframes: &[Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
 ) -> Vec<HeldScan> {
-    let Some(scan) = deskewed(scan, lidar, trajectory, config) else {
+    let Some(scan) = scan.at_one_instant(lidar, trajectory, config) else {
         return Vec::new();
     };
     let strangers_s = config.scan_window_secs + SCAN_S;

@@ -257,13 +257,11 @@ fn a_start_that_drifts_comes_back() {
     let before_m = rms_error_m(&start);
     let build = |start: &Trajectory| {
         let (config, none) = (MappingConfig::default(), KeptStages::none());
-        build_map_in_stages(
-            &recording,
-            Start::Given(start),
-            &config,
-            &none,
-            &no_progress,
-        )
+        let inputs = Inputs {
+            start: Start::Given(start),
+            ..Inputs::of(&recording)
+        };
+        build_map_in_stages(&inputs, &config, &none, &no_progress)
     };
     let result = build(&start).expect("map");
     let after_m = rms_error_m(&result.trajectory);
@@ -343,7 +341,7 @@ fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
             true => Err(Stopped),
             false => show(p),
         };
-        build_map_in_stages(&recording, Start::Odometry, &config, &kept, &progress)
+        build_map_in_stages(&Inputs::of(&recording), &config, &kept, &progress)
     };
     for stage in &stages {
         let stopped = go_on(&|p| p.stage == *stage);

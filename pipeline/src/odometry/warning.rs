@@ -32,6 +32,17 @@ pub enum OdometryWarning {
         /// When, which, and how far it may be off.
         stretch: UnseenStretch,
     },
+    /// In a stretch in which scans do not see all of the motion the accelerometer alone has it, and no scan of the walk tells whether that is right.
+    AccelerometerUntold {
+        /// First and last scan, seconds after the first scan of all.
+        from_s: f64,
+        /// See `from_s`.
+        to_s: f64,
+        /// Unit vector of the motion in the world.
+        direction_in_world: [f64; 3],
+        /// How far poses are off at most if the accelerometer is turned round along it, metres.
+        off_m: f64,
+    },
     /// Where the recording ends is not known.
     EndUncertain {
         /// Standard deviation of the last pose's place in its worst direction, metres.
@@ -97,8 +108,19 @@ pub enum OdometryWarning {
     },
     /// Scans lie elsewhere on each other than the trajectory has them.
     ScansApart {
-        /// Half of the pairs, a second apart, by more than this, metres.
+        /// Half of the pairs of the worst stretch, a second apart, by more than this, metres.
         off_m: f64,
+        /// First and last scan of that stretch, seconds after the first scan of all.
+        from_s: f64,
+        /// See `from_s`.
+        to_s: f64,
+    },
+    /// Scans share too little with those a second before to tell whether the trajectory has them where they lie on each other.
+    ScansUnchecked {
+        /// First and last scan, seconds after the first scan of all.
+        from_s: f64,
+        /// See `from_s`.
+        to_s: f64,
     },
     /// Scans and accelerometer measure in different units.
     Scale {
@@ -151,6 +173,17 @@ impl OdometryWarning {
                 ),
             ),
             Self::Unseen { stretch } => ("unseen-motion", stretch.to_string()),
+            Self::AccelerometerUntold {
+                from_s,
+                to_s,
+                direction_in_world: [x, y, z],
+                off_m,
+            } => (
+                "accelerometer-untold",
+                format!(
+                    "from {from_s:.1} to {to_s:.1} s the accelerometer alone has the motion along ({x:.2}, {y:.2}, {z:.2}), and no scan of the walk tells whether it is right along it: if it is turned round, poses are {off_m:.1} m off (covariances have that); walk a stretch where scans see such motion as well, or make sure of the IMU's axes"
+                ),
+            ),
             Self::EndUncertain { sigma_m } => (
                 "end-uncertain",
                 format!(
@@ -208,10 +241,20 @@ impl OdometryWarning {
                     if *late_s > 0.0 { "late" } else { "early" }
                 ),
             ),
-            Self::ScansApart { off_m } => (
+            Self::ScansApart {
+                off_m,
+                from_s,
+                to_s,
+            } => (
                 "scans-apart",
                 format!(
-                    "scans a second apart lie on each other {off_m:.2} m off where the trajectory has them (half of them by more): the IMU draws them away, and the trajectory may be metres off; is an axis or the sign of the accelerometer wrong, or its unit or clock? Run without the IMU to see"
+                    "from {from_s:.1} to {to_s:.1} s (the worst stretch) scans a second apart lie on each other {off_m:.2} m off where the trajectory has them (half of them by more): the IMU draws them away, and the trajectory may be metres off; is an axis or the sign of the accelerometer wrong, or its unit or clock? Run without the IMU to see"
+                ),
+            ),
+            Self::ScansUnchecked { from_s, to_s } => (
+                "scans-unchecked",
+                format!(
+                    "from {from_s:.1} to {to_s:.1} s scans are too few, or share too little with those a second before, to tell whether the IMU draws them away: that is not checked there"
                 ),
             ),
             Self::Scale { scale, sigma } => ("scale", scale_sentence(*scale, *sigma)),

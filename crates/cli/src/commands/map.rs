@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_pipeline::hd_map::{HdMap, MarkConfig, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::mapping::{MappingConfig, MappingReport, Start, build_map_in_stages};
+use lsfb_pipeline::mapping::{Inputs, MappingConfig, MappingReport, Start, build_map_in_stages};
 use lsfb_pipeline::posed_images::PosedImages;
+use lsfb_pipeline::stored_clouds::StoredClouds;
 use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,7 @@ use crate::standing;
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map scan.mcap --trajectory other-slam.tum --out map
+///   lsfb map scan.mcap --trajectory scan.tum --clouds clouds.mcap --out map
 ///   lsfb map scan.mcap --marks marks.csv --survey hall.survey --out map --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
@@ -63,6 +65,9 @@ struct BuildArguments {
     /// Start Eq. 4 from this trajectory of the rig, of another program's SLAM, instead of the odometry.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     trajectory: Option<PathBuf>,
+    /// Take planes and edges from the scans that `lsfb odometry --out-clouds` stored of this recording.
+    #[arg(long, value_name = "MCAP", conflicts_with = "posed_images")]
+    clouds: Option<PathBuf>,
     /// Clicks on marks in its images, as `lsfb map distances` takes them: their distances become part of verdict and page.
     #[arg(long, value_name = "CSV", conflicts_with = "posed_images")]
     marks: Option<PathBuf>,
@@ -145,6 +150,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out_report: arguments.out_report.as_deref(),
         config: &config,
         start: arguments.trajectory.as_deref(),
+        clouds: arguments.clouds.as_deref(),
         marks: arguments.marks.as_deref().map(|clicks| MarkFiles {
             clicks,
             survey: arguments.survey.as_deref(),
@@ -216,6 +222,8 @@ pub struct MapJob<'a> {
     pub config: &'a MappingConfig,
     /// The trajectory to start from instead of the odometry's.
     pub start: Option<&'a Path>,
+    /// The scans as the odometry stored them.
+    pub clouds: Option<&'a Path>,
     pub marks: Option<MarkFiles<'a>>,
 }
 
@@ -224,6 +232,7 @@ impl MapJob<'_> {
     fn inputs(&self) -> Vec<&Path> {
         let mut read = vec![self.recording];
         read.extend(self.start);
+        read.extend(self.clouds);
         if let Some(MarkFiles { clicks, survey }) = self.marks {
             read.push(clicks);
             read.extend(survey);
@@ -267,17 +276,24 @@ impl MapJob<'_> {
             anyhow::Ok(read_tum(path)?)
         });
         let start = start.transpose()?;
+        let clouds = self.clouds.map(|path| {
+            check_source(path, self.recording)?;
+            let features = &self.config.lidar_features;
+            anyhow::Ok(StoredClouds::open(path, &scan, features, &|p| {
+                context.show(p)
+            })?)
+        });
+        let clouds = clouds.transpose()?;
         outputs.iter().try_for_each(|result| claim(result))?;
         let stages = context.kept_stages(self.out, &provenance)?;
+        let inputs = Inputs {
+            recording: &scan,
+            start: start.as_ref().map_or(Start::Odometry, Start::Given),
+            clouds: clouds.as_ref(),
+        };
         let result = super::about(
             self.recording,
-            build_map_in_stages(
-                &scan,
-                start.as_ref().map_or(Start::Odometry, Start::Given),
-                self.config,
-                &stages,
-                &|p| context.show(p),
-            ),
+            build_map_in_stages(&inputs, self.config, &stages, &|p| context.show(p)),
         )?;
         let marked = self.marks.map(|MarkFiles { clicks, survey }| {
             let along = Some(&result.trajectory);

@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::any_lidar::Model;
+use lsfb_pipeline::lidar_features::LidarFeatureConfig;
 use lsfb_pipeline::loops::{Closing, Loops, close_loops, find_loops};
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport, OdometryResult};
+use lsfb_pipeline::stored_clouds::{STORED_SHARE, StoredReport, StoringConfig, store_clouds};
 use lsfb_recording::{Provenance, write_tum};
 use lsfb_types::Verdict;
 use serde::Serialize;
 
 use super::covariance_file;
-use super::odometry_input::{Choice, InputReport, run as run_on};
+use super::odometry_input::{Choice, InputReport, is_ours, run as run_on};
 use crate::context::Context;
 use crate::files;
 use crate::outcome::Outcome;
@@ -31,8 +33,12 @@ use crate::outcome::Outcome;
 /// covariances. The list names every loop that was looked at, with its scores and its verdict; edit the verdicts and give it back with
 /// --loops, and it is used as it is.
 ///
+/// With --out-clouds, the deskewed scans are stored for `lsfb map --clouds`, a fifth of their points: planes by means of points, edges whole. Nothing is
+/// stored where IMU and scans contradict each other.
+///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
+///   lsfb odometry scan.mcap --out scan.tum --out-clouds clouds.mcap
 ///   lsfb odometry scan.mcap --out-loops loops.txt --out scan.tum
 ///   lsfb odometry scan.mcap --loops loops.txt --out scan.tum --force
 ///   lsfb odometry kitti/velodyne_points/data --outdoor --out kitti.tum
@@ -53,6 +59,12 @@ pub struct Arguments {
     /// Close the loops that this list accepts, and look for no others.
     #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
     loops: Option<PathBuf>,
+    /// Store the deskewed scans here, reduced to a fifth of their points; of recordings of `lsfb scan`.
+    #[arg(long, value_name = "MCAP")]
+    out_clouds: Option<PathBuf>,
+    /// Share of the points that is stored.
+    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * STORED_SHARE, value_parser = share_percent, requires = "out_clouds")]
+    clouds_percent: f64,
     /// Use settings for streets: long ranges, coarse voxels.
     #[arg(long)]
     outdoor: bool,
@@ -87,6 +99,9 @@ struct Report<'a> {
     /// Absent where loops were not asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     loops: Option<Closing>,
+    /// Absent where clouds were not stored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clouds: Option<StoredReport>,
 }
 
 /// What the file of covariances says of itself.
@@ -100,6 +115,41 @@ const RARE_SCANS: &str = "\nThe scans are more than a second apart: that one was
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
     rate.ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
+}
+
+fn share_percent(text: &str) -> Result<f64, String> {
+    let share = text.parse().ok().filter(|p| (1.0..=100.0).contains(p));
+    share.ok_or_else(|| "expected a number from 1 to 100".to_owned())
+}
+
+/// Stores the clouds that are asked for; `None` where none are, or the trajectory is wrong.
+fn store(
+    arguments: &Arguments,
+    config: &OdometryConfig,
+    result: &OdometryResult,
+    context: &Context,
+) -> anyhow::Result<Option<StoredReport>> {
+    let Some(path) = &arguments.out_clouds else {
+        return Ok(None);
+    };
+    if fails(&result.report) {
+        return Ok(None);
+    }
+    let recording = context.open(&arguments.input)?;
+    let storing = StoringConfig {
+        odometry: config,
+        features: LidarFeatureConfig::default(),
+        share: arguments.clouds_percent / 100.0,
+    };
+    let progress = |p| context.show(p);
+    let stored = store_clouds(&recording, result, &storing, path, &progress)?;
+    Ok(Some(stored))
+}
+
+/// Whether what was found makes the trajectory wrong for certain.
+fn fails(report: &OdometryReport) -> bool {
+    let mut warnings = report.warnings.iter();
+    warnings.any(|w| w.finding().verdict == Verdict::Fail)
 }
 
 /// Closes the loops that are asked for; `None` where none are.
@@ -139,6 +189,28 @@ fn about_loops(loops: &Closing) -> String {
     text
 }
 
+fn about_clouds(path: &Path, clouds: Option<&StoredReport>) -> String {
+    let Some(stored) = clouds else {
+        return format!(
+            "\n  {}: not written, as IMU and scans contradict each other",
+            path.display()
+        );
+    };
+    format!(
+        "\n  {}: {} scans, {:.1} % of their points, {} places where rings bend",
+        path.display(),
+        stored.scans,
+        100.0 * stored.share(),
+        stored.bends
+    )
+}
+
+/// Whether the input is a recording of ours, with a rig in it.
+fn is_recording(choice: &Choice) -> anyhow::Result<bool> {
+    let ending = choice.path.extension().and_then(|e| e.to_str());
+    Ok(ending.is_some_and(|e| e.eq_ignore_ascii_case("mcap")) && is_ours(choice)?)
+}
+
 /// Runs the odometry, prints its report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config = match &arguments.config {
@@ -159,6 +231,19 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(list) = &arguments.out_loops {
         context.claim(list, &read)?;
     }
+    if let Some(clouds) = &arguments.out_clouds {
+        let others = [
+            Some(&arguments.out),
+            Some(&beside),
+            arguments.out_loops.as_ref(),
+        ];
+        anyhow::ensure!(
+            !others.contains(&Some(clouds)),
+            "{} is written twice: give --out-clouds a file of its own",
+            clouds.display()
+        );
+        context.claim(clouds, &read)?;
+    }
     let choice = Choice {
         path: &arguments.input,
         rig: arguments.rig.as_deref(),
@@ -167,6 +252,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         rate_hz: arguments.rate_hz,
         model: arguments.lidar_model,
     };
+    anyhow::ensure!(
+        arguments.out_clouds.is_none() || is_recording(&choice)?,
+        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is none: `lsfb import` makes one of it",
+        arguments.input.display()
+    );
     let mut found = run_on(&choice, &config, context)?;
     let loops = close(arguments, &config, &mut found.result, context)?;
     context.check_stop()?;
@@ -187,11 +277,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         provenance.add_input(input)?;
     }
     provenance.write(&arguments.out)?;
+    let clouds = store(arguments, &config, &found.result, context)?;
+    if let (Some(path), Some(_)) = (&arguments.out_clouds, &clouds) {
+        provenance.write(path)?;
+    }
     let r = &found.result.report;
     let report = Report {
         odometry: r,
         input: &found.input,
         loops,
+        clouds,
     };
     context.print(&report, || {
         let mut text = format!(
@@ -213,6 +308,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if let Some(loops) = &loops {
             text += &about_loops(loops);
         }
+        if let Some(path) = &arguments.out_clouds {
+            text += &about_clouds(path, clouds.as_ref());
+        }
         let of_odometry = r.warnings.iter().map(|w| match w.finding() {
             failure if failure.verdict == Verdict::Fail => format!("FAIL {}", failure.what),
             warning => warning.what,
@@ -222,11 +320,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
-    let fails = r
-        .warnings
-        .iter()
-        .any(|w| w.finding().verdict == Verdict::Fail);
-    Ok(match (fails, r.is_whole()) {
+    Ok(match (fails(r), r.is_whole()) {
         (true, _) => Outcome::JudgementFailed,
         (_, true) => Outcome::Done,
         (_, false) => Outcome::DataLost,

@@ -28,6 +28,8 @@ const BIAS_M_S2: f64 = 0.2;
 /// Gravity beforehand, m/s²: nothing is known.
 const GRAVITY_M_S2: f64 = 1e3;
 const ROUNDS: usize = 8;
+/// Forces that differ by less are the same, m/s².
+const OTHER_M_S2: f64 = 0.1;
 
 /// Which of a sensor's axes, and with which sign, is each axis of the rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,24 +144,55 @@ pub(super) fn of_gyroscope(turns: &Turns) -> Option<WrongAxes> {
 
 /// The same of an accelerometer.
 pub(super) fn of_accelerometer(triples: &[Triple]) -> Option<WrongAxes> {
+    wrong(of_accelerometer_all(&some_of(triples))?.into_iter())
+}
+
+/// Whether the scans tell that the axes of an accelerometer are right as far as the force along a direction of the world depends on them: that every arrangement
+/// by which it would be another one fits them worse.
+pub(super) fn is_told(triples: &[Triple], along: &Vector3<f64>) -> bool {
+    let triples = some_of(triples);
+    let Some(costs) = of_accelerometer_all(&triples) else {
+        return false;
+    };
+    let cost_of = |a: &Arrangement| costs.iter().find(|(known, _)| known == a).map(|c| c.1);
+    let Some(now) = cost_of(&AS_IT_IS) else {
+        return false;
+    };
+    costs.iter().all(|(arrangement, cost)| {
+        let differs = |t: &&Triple| along.dot(&(arrangement.force(t) - AS_IT_IS.force(t)));
+        let all: Vec<f64> = triples.iter().map(differs).collect();
+        // What stays is taken for gravity.
+        let mean = all.iter().sum::<f64>() / all.len() as f64;
+        let squares: f64 = all.iter().map(|d| (d - mean).powi(2)).sum();
+        let is_other = (squares / all.len() as f64).sqrt() > OTHER_M_S2;
+        !is_other || cost - now > LEAST_EXPLAINED
+    })
+}
+
+/// As many as tell anything.
+fn some_of(triples: &[Triple]) -> Vec<&Triple> {
     let every = triples.len().div_ceil(MAX_TRIPLES).max(1);
-    let triples: Vec<_> = triples.iter().step_by(every).collect();
+    triples.iter().step_by(every).collect()
+}
+
+/// What each arrangement leaves unexplained; `None` where triples are too few.
+fn of_accelerometer_all(triples: &[&Triple]) -> Option<Vec<(Arrangement, f64)>> {
     if triples.len() < MIN_TRIPLES {
         return None;
     }
     let sigmas = Arrangement::all().map(|a| {
-        let fit = fit(&triples, &a, None)?;
+        let fit = fit(triples, &a, None)?;
         Some(scatter(&fit.residuals))
     });
     let sigma = sigmas.flatten().fold(f64::INFINITY, f64::min);
     let sigma_m_s2 = sigma.max(LEAST_SIGMA_M_S2);
     let costs = Arrangement::all().filter_map(|a| {
-        let fit = fit(&triples, &a, Some(sigma_m_s2))?;
+        let fit = fit(triples, &a, Some(sigma_m_s2))?;
         let sum: f64 = fit.residuals.iter().map(|r| cost(r, sigma_m_s2)).sum();
         let of_bias = fit.bias.norm_squared() / (BIAS_M_S2 * BIAS_M_S2);
         Some((a, sum / SHARED + of_bias))
     });
-    wrong(costs)
+    Some(costs.collect())
 }
 
 /// What stands out from what is said.
@@ -183,7 +216,7 @@ fn fit(triples: &[&Triple], arrangement: &Arrangement, sigma_m_s2: Option<f64>) 
     let left = |found: &Vector6<f64>| -> Vec<Vector3<f64>> {
         let (bias, gravity) = (found.fixed_rows::<3>(0), found.fixed_rows::<3>(3));
         let each = triples.iter().zip(&forces);
-        each.map(|(t, force)| force + t.world_from_rig * bias + gravity - t.by_scans)
+        each.map(|(t, force)| t.seen * (force + t.world_from_rig * bias + gravity - t.by_scans))
             .collect()
     };
     let (b, g) = (BIAS_M_S2.powi(-2), GRAVITY_M_S2.powi(-2));
@@ -198,8 +231,10 @@ fn fit(triples: &[&Triple], arrangement: &Arrangement, sigma_m_s2: Option<f64>) 
             let mut jacobian = Matrix3x6::zeros();
             jacobian
                 .fixed_view_mut::<3, 3>(0, 0)
-                .copy_from(&triple.world_from_rig);
-            jacobian.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+                .copy_from(&(triple.seen * triple.world_from_rig));
+            jacobian
+                .fixed_view_mut::<3, 3>(0, 3)
+                .copy_from(&triple.seen);
             equations.add_block(r, &jacobian, weight(r, sigma) / SHARED);
         }
         equations.add_prior(&found, &prior);

@@ -6,22 +6,25 @@
 //! where the LiDAR hangs on it; then the accelerometer by its axes and by its unit.
 
 mod axes;
+mod chain;
 mod clock;
 mod extrinsic;
 mod pairs;
 mod scale;
+mod scans;
 mod triples;
 mod turns;
 
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::StampedPose;
+use lsfb_geometry::{StampedPose, Vector3};
 use lsfb_types::{ImuSample, Stamped};
 
 use super::OdometryWarning;
 use axes::Sensor;
-pub(super) use pairs::{Scans, pairs_off};
+pub(super) use pairs::lay;
+pub(super) use scans::Scans;
 use turns::Turns;
 
 /// A scan that is not deskewed is turned as its carrier was some time within the sweep, not at its stamp: a clock may look so late by that alone, seconds.
@@ -34,8 +37,11 @@ const TURNED_UNDESKEWED_RAD: f64 = 0.052_360;
 const UNDESKEWED_S: f64 = 2.0;
 
 /// What IMU and scans contradict each other in: that which explains the most alone, as the others cannot be told before it is mended.
+///
+/// `unseen` has for each pose the direction of the world along which the scan sees no motion, if there is one.
 pub(super) fn contradictions(
     by_scans: &[StampedPose],
+    unseen: &[Option<Vector3<f64>>],
     samples: &[Stamped<ImuSample>],
     is_deskewed: bool,
 ) -> Vec<OdometryWarning> {
@@ -65,7 +71,7 @@ pub(super) fn contradictions(
         off_deg: off.off_rad.to_degrees(),
         sigma_deg: off.sigma_rad.to_degrees(),
     }));
-    let triples = triples::triples(by_scans, samples, late_s);
+    let triples = triples::triples(by_scans, unseen, samples, late_s);
     match axes::of_accelerometer(&triples) {
         Some(wrong) => said.push(wrong.warning(Sensor::Accelerometer)),
         // Attitudes that are off feign other units.
@@ -76,4 +82,15 @@ pub(super) fn contradictions(
         None => {}
     }
     said
+}
+
+/// Whether the scans tell that the accelerometer is right along a direction of the world: elsewhere on the walk, where they see motion along it.
+pub(super) fn is_told_along(
+    by_scans: &[StampedPose],
+    unseen: &[Option<Vector3<f64>>],
+    samples: &[Stamped<ImuSample>],
+    along: &Vector3<f64>,
+) -> bool {
+    let triples = triples::triples(by_scans, unseen, samples, 0.0);
+    axes::is_told(&triples, along)
 }

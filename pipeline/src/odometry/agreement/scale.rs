@@ -5,7 +5,7 @@
 //! is left of the accelerometer in the poses of the scans draws `s` towards 1, never away from it; so does what the attitude between scans that are seconds
 //! apart is off by, which adds to the forces, and these are left out.
 
-use lsfb_geometry::Vector3;
+use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_perception::gauss_newton::NormalEquations;
 use nalgebra::{Matrix3x4, Vector4};
 
@@ -38,7 +38,9 @@ pub(super) struct ScaleOff {
 /// The scale, where it is off for certain; of the poses that scans have without the IMU's help.
 pub(super) fn scale_off(triples: &[Triple]) -> Option<ScaleOff> {
     let near = triples.iter().filter(|t| t.span_s <= MOST_S);
-    let triples: Vec<_> = near.map(|t| (t.by_scans, t.by_imu())).collect();
+    let triples: Vec<_> = near
+        .map(|t| (t.seen * t.by_scans, t.seen * t.by_imu(), t.seen))
+        .collect();
     if triples.len() < MIN_TRIPLES {
         return None;
     }
@@ -57,20 +59,22 @@ pub(super) fn scale_off(triples: &[Triple]) -> Option<ScaleOff> {
 }
 
 /// At a scale and a gravity, weighted by how the triples scatter; those that do not fit lose their weight (Cauchy). Each scan is in six triples.
-fn equations(triples: &[(Vector3<f64>, Vector3<f64>)], found: &Vector4<f64>) -> NormalEquations<4> {
+fn equations(
+    triples: &[(Vector3<f64>, Vector3<f64>, Matrix3<f64>)],
+    found: &Vector4<f64>,
+) -> NormalEquations<4> {
     const SHARED: f64 = 6.0;
     let gravity: Vector3<f64> = found.fixed_rows::<3>(1).into();
-    let residual =
-        |(by_scans, by_imu): &(Vector3<f64>, Vector3<f64>)| by_imu * found[0] + gravity - by_scans;
-    let residuals: Vec<_> = triples.iter().map(residual).collect();
+    let each = triples.iter();
+    let residuals: Vec<_> = each
+        .map(|(by_scans, by_imu, seen)| by_imu * found[0] + seen * gravity - by_scans)
+        .collect();
     let sigma = scatter(&residuals).max(LEAST_SIGMA_M_S2);
     let mut equations = NormalEquations::default();
-    for ((_, a), r) in triples.iter().zip(&residuals) {
-        let jacobian = Matrix3x4::new(
-            a.x, 1.0, 0.0, 0.0, //
-            a.y, 0.0, 1.0, 0.0, //
-            a.z, 0.0, 0.0, 1.0,
-        );
+    for ((_, a, seen), r) in triples.iter().zip(&residuals) {
+        let mut jacobian = Matrix3x4::zeros();
+        jacobian.column_mut(0).copy_from(a);
+        jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(seen);
         equations.add_block(r, &jacobian, weight(r, sigma) / SHARED);
     }
     let prior = Vector4::new(
@@ -111,7 +115,7 @@ mod tests {
         for sample in &mut samples {
             sample.sample.specific_force_m_s2 = sample.sample.specific_force_m_s2.map(|f| f * sign);
         }
-        scale_off(&triples(&poses, &samples, 0.0))
+        scale_off(&triples(&poses, &[], &samples, 0.0))
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 use lsfb_geometry::{Matrix3, StampedPose, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped};
+use nalgebra::SymmetricEigen;
 
 use super::turns::longest_s;
 
@@ -12,6 +13,9 @@ use super::turns::longest_s;
 const LEAST_S: f64 = 0.15;
 /// No two samples may be farther apart, seconds.
 const MOST_GAP_S: f64 = 0.1;
+
+/// Directions that are not seen and differ by less than this are one: the sine of it, squared.
+const UNSEEN_SHARE: f64 = 0.1;
 
 /// What three scans and the samples between them say.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +29,8 @@ pub(super) struct Triple {
     pub world_from_rig: Matrix3<f64>,
     /// From the first scan to the third, seconds.
     pub span_s: f64,
+    /// Takes what is in the world to the directions in which all three scans see motion: a turn, but for rows of zeros.
+    pub seen: Matrix3<f64>,
 }
 
 impl Triple {
@@ -37,6 +43,7 @@ impl Triple {
 /// All of a walk, if the stamps of the IMU are so much too late.
 pub(super) fn triples(
     by_scans: &[StampedPose],
+    unseen: &[Option<Vector3<f64>>],
     samples: &[Stamped<ImuSample>],
     late_s: f64,
 ) -> Vec<Triple> {
@@ -52,7 +59,11 @@ pub(super) fn triples(
         let second = next_after(first)?;
         let third = next_after(second)?;
         let scans = [&by_scans[first], &by_scans[second], &by_scans[third]];
-        triple(scans, samples, late_s)
+        let all = [first, second, third].map(|k| unseen.get(k).copied().flatten());
+        Some(Triple {
+            seen: seen(&all),
+            ..triple(scans, samples, late_s)?
+        })
     };
     (0..by_scans.len()).filter_map(triple).collect()
 }
@@ -75,6 +86,7 @@ fn triple(
         forces: [Matrix3::zeros(); 3],
         world_from_rig: Matrix3::zeros(),
         span_s: rise_s + fall_s,
+        seen: Matrix3::identity(),
     };
     for (begin, end, rises) in [(first, second, true), (second, third, false)] {
         let span_s = end.time.secs_since(begin.time);
@@ -90,6 +102,22 @@ fn triple(
         }
     }
     Some(triple)
+}
+
+/// What is left without directions that are not seen.
+fn seen(unseen: &[Option<Vector3<f64>>]) -> Matrix3<f64> {
+    let of_all: Matrix3<f64> = unseen.iter().flatten().map(|d| d * d.transpose()).sum();
+    if of_all == Matrix3::zeros() {
+        return Matrix3::identity();
+    }
+    let eigen = SymmetricEigen::new(of_all);
+    let mut rows = eigen.eigenvectors.transpose();
+    for (k, share) in eigen.eigenvalues.iter().enumerate() {
+        if *share > UNSEEN_SHARE {
+            rows.row_mut(k).fill(0.0);
+        }
+    }
+    rows
 }
 
 /// A sample between two scans.

@@ -122,11 +122,12 @@ pub(super) fn residuals(
     turns.iter().map(|t| off(t) - bias * t.duration_s).collect()
 }
 
-/// Standard deviation of a component, from the median size of all.
+/// Standard deviation of a component, from the median size of all that are measured: those that are not are 0.
 pub(super) fn scatter(residuals: &[Vector3<f64>]) -> f64 {
     let sizes = residuals
         .iter()
-        .flat_map(|r| [r.x.abs(), r.y.abs(), r.z.abs()]);
+        .flat_map(|r| [r.x.abs(), r.y.abs(), r.z.abs()])
+        .filter(|size| *size > 0.0);
     // 1.4826: from the median to the standard deviation of what is normal.
     1.4826 * median(sizes.collect()).unwrap_or(0.0)
 }

@@ -7,7 +7,7 @@ use super::{DeskewedCloud, OdometryResult, ScanPose};
 use crate::Error;
 use crate::odometry::report::OdometryReport;
 use crate::odometry::unseen::UnseenStretches;
-use crate::odometry::{InertialState, OdometryStep, OdometryWarning, StepOutcome};
+use crate::odometry::{InertialState, MotionKind, OdometryStep, OdometryWarning, StepOutcome};
 
 /// What has come together so far.
 #[derive(Default)]
@@ -16,6 +16,8 @@ pub(super) struct Found {
     scan_poses: Vec<ScanPose>,
     /// What the registered scans alone say of these.
     pub by_scans: Vec<StampedPose>,
+    /// And the direction of the world along which each sees no motion, if there is one.
+    pub unseen_shifts: Vec<Option<Vector3<f64>>>,
     unseen: UnseenStretches,
     clouds: Vec<DeskewedCloud>,
     pub report: OdometryReport,
@@ -87,6 +89,9 @@ impl Found {
                 time: step.time,
                 world_from_rig: step.by_scan_alone,
             });
+            let unseen = step.unseen.filter(|u| u.kind == MotionKind::Shift);
+            let along = unseen.map(|u| u.direction_in_world);
+            self.unseen_shifts.push(along);
             self.measured += 1;
             self.inlier_ratios += step.inlier_ratio;
             self.plane_squares += step.plane_rms_m * step.plane_rms_m;
@@ -108,16 +113,24 @@ impl Found {
         self.poses.extend(step.poses.into_iter().skip(known));
     }
 
+    /// Turns what the scans alone say as [`Found::finish`] turns the walk.
+    pub fn level_by_scans(&mut self, state: Option<&InertialState>) {
+        let level = state.map_or_else(UnitQuaternion::identity, level_of);
+        for pose in &mut self.by_scans {
+            pose.world_from_rig = Se3::new(level, Vector3::zeros()) * pose.world_from_rig;
+        }
+        for along in self.unseen_shifts.iter_mut().flatten() {
+            *along = level * *along;
+        }
+    }
+
     pub fn finish(self, state: Option<&InertialState>, lidar: &RigLidar) -> OdometryResult {
         let mut report = self.report;
         let mut poses = self.poses;
         let mut scan_poses = self.scan_poses;
         let mut level = UnitQuaternion::identity();
         if let Some(state) = state {
-            // Gravity is known best at the end of the walk; the whole walk is turned level with it.
-            let down = -Vector3::z();
-            level = UnitQuaternion::rotation_between(&state.gravity_m_s2, &down)
-                .unwrap_or_else(UnitQuaternion::identity);
+            level = level_of(state);
             let of_scans = scan_poses.iter_mut().map(|scan| &mut scan.pose);
             for pose in poses.iter_mut().chain(of_scans) {
                 pose.world_from_rig = Se3::new(level, Vector3::zeros()) * pose.world_from_rig;
@@ -142,6 +155,12 @@ impl Found {
             report,
         }
     }
+}
+
+/// Gravity is known best at the end of the walk; the whole walk is turned level with it.
+fn level_of(state: &InertialState) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(&state.gravity_m_s2, &-Vector3::z())
+        .unwrap_or_else(UnitQuaternion::identity)
 }
 
 /// The median time from one pose to the next, seconds; 0 for less than two.

@@ -2,6 +2,7 @@
 
 mod damages;
 mod found;
+mod untold;
 
 use std::iter::Peekable;
 use std::path::Path;
@@ -13,7 +14,7 @@ use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
-use super::agreement::{Scans, contradictions, pairs_off};
+use super::agreement::{Scans, contradictions, is_told_along, lay};
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::range_check::RangeCheck;
@@ -220,33 +221,20 @@ impl OdometryRun {
             self.register_last(&last)?;
         }
         self.found.report.deskew = self.clock.report;
+        let state = self.odometry.inertial_state();
+        self.found.level_by_scans(state);
         let by_scans = std::mem::take(&mut self.found.by_scans);
-        let mut result = self
-            .found
-            .finish(self.odometry.inertial_state(), self.odometry.lidar());
+        let unseen = std::mem::take(&mut self.found.unseen_shifts);
+        let mut result = self.found.finish(state, self.odometry.lidar());
         let deskew = &result.report.deskew;
         let is_deskewed = deskew.by_times + deskew.by_azimuth > deskew.none;
-        let said = contradictions(&by_scans, &self.samples, is_deskewed);
+        let said = contradictions(&by_scans, &unseen, &self.samples, is_deskewed);
         result.report.warnings.extend(said);
-        let off_m = match result.report.imu_samples {
-            0 => None,
-            _ => {
-                let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
-                let clouds = result.clouds.iter();
-                let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
-                let scans = Scans {
-                    poses: &poses,
-                    clouds: &clouds,
-                    lidar: &result.lidar,
-                };
-                pairs_off(&scans, &self.config)
-            }
-        };
-        if let Some(off_m) = off_m {
-            result
-                .report
-                .warnings
-                .push(OdometryWarning::ScansApart { off_m });
+        if result.report.imu_samples > 0 {
+            untold::widen(&mut result, |along| {
+                is_told_along(&by_scans, &unseen, &self.samples, along)
+            });
+            lay_scans(&mut result, &self.config);
         }
         let little = result.report.little_agreement();
         result.report.warnings.extend(little);
@@ -268,6 +256,30 @@ impl OdometryRun {
         }
         Ok(result)
     }
+}
+
+/// Says where scans lie elsewhere on each other than the trajectory has them, and where nothing tells.
+fn lay_scans(result: &mut OdometryResult, config: &OdometryConfig) {
+    let poses: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
+    let clouds = result.clouds.iter();
+    let clouds: Vec<_> = clouds.map(|cloud| cloud.points_in_rig.as_slice()).collect();
+    let scans = Scans {
+        poses: &poses,
+        clouds: &clouds,
+        lidar: &result.lidar,
+    };
+    let laid = lay(&scans, config);
+    let is_rare = result.report.has_rare_scans();
+    let warnings = &mut result.report.warnings;
+    warnings.extend(laid.off.map(|off| OdometryWarning::ScansApart {
+        off_m: off.off_m,
+        from_s: off.from_s,
+        to_s: off.to_s,
+    }));
+    // Where scans are rare that is said, and that covariances are not to be relied on.
+    let unchecked = laid.unchecked.into_iter().filter(|_| !is_rare);
+    warnings
+        .extend(unchecked.map(|[from_s, to_s]| OdometryWarning::ScansUnchecked { from_s, to_s }));
 }
 
 /// From a scan's first point to its last, seconds; 0 where points carry no times.

@@ -21,6 +21,15 @@ fn walk_with_lidar_off_by(
     rig_from_usual: &UnitQuaternion<f64>,
     units_m_s2: [f64; 3],
 ) -> (OdometryReport, f64) {
+    walk_in(&Room::furnished(), off, rig_from_usual, units_m_s2)
+}
+
+fn walk_in(
+    room: &Room,
+    off: &Vector3<f64>,
+    rig_from_usual: &UnitQuaternion<f64>,
+    units_m_s2: [f64; 3],
+) -> (OdometryReport, f64) {
     let turned = |v: [f64; 3], units: [f64; 3]| {
         let turned = rig_from_usual * Vector3::from(v);
         turned.component_div(&Vector3::from(units)).into()
@@ -43,13 +52,12 @@ fn walk_with_lidar_off_by(
     };
     let config = OdometryConfig::default();
     let mut run = OdometryRun::new(&config, &lidar, Some(imu)).expect("settings");
-    let room = Room::furnished();
     for i in 0..(WALK_S * 10.0) as u64 - 1 {
         let times = PointTimes::Field {
             name: "t".to_owned(),
             begins: TimesBegin::AfterStamp { nanos: 0 },
         };
-        let scan = room::scan(&room, i as f64 * 0.1, i);
+        let scan = room::scan(room, i as f64 * 0.1, i);
         run.push(TimedScan { scan, times }).expect("scan");
     }
     let result = run.finish().expect("a trajectory");
@@ -119,4 +127,21 @@ fn an_accelerometer_of_a_wrong_sign_bends_no_walk_without_a_word() {
             report.warnings
         );
     }
+}
+
+/// Along a corridor without ends nothing tells of it. Naively the pose was said to be sure to centimetres.
+#[test]
+fn in_a_corridor_without_ends_an_accelerometer_of_a_wrong_sign_is_not_believed() {
+    let (none, upright) = (Vector3::zeros(), UnitQuaternion::identity());
+    let corridor = Room::endless_corridor();
+    let (report, worst_m) = walk_in(&corridor, &none, &upright, [-1.0, 1.0, 1.0]);
+    let is_said = report.warnings.iter().any(|w| {
+        matches!(w, OdometryWarning::AccelerometerUntold { .. })
+            || w.finding().verdict == lsfb_types::Verdict::Fail
+    });
+    assert!(
+        is_said || worst_m < 0.1,
+        "{worst_m} m, {:?}",
+        report.warnings
+    );
 }

@@ -128,6 +128,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out_trajectory: Some(&files.scan_trajectory),
         out_report: None,
         start: None,
+        clouds: None,
         marks: None,
         config: &MappingConfig::default(),
     };

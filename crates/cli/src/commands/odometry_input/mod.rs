@@ -66,7 +66,7 @@ pub fn run(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyho
 }
 
 /// Whether an MCAP has a rig of its own, good or bad, and no other is asked for.
-fn is_ours(choice: &Choice) -> anyhow::Result<bool> {
+pub fn is_ours(choice: &Choice) -> anyhow::Result<bool> {
     let is_foreign = choice.lidar.is_some() || choice.imu.is_some() || choice.rig.is_some();
     let rig = Recording::open(choice.path)?.rig();
     let has_none = matches!(rig, Err(lsfb_recording::Error::MissingAttachment { .. }));

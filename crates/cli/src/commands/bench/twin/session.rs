@@ -90,6 +90,7 @@ impl Session<'_> {
             out_trajectory: Some(&trajectory),
             out_report: None,
             start: None,
+            clouds: None,
             marks: None,
             config: &MappingConfig::default(),
         };
