@@ -51,8 +51,8 @@ pub mod scan;
 pub mod sidecar;
 mod sidecar_walks;
 pub mod sim;
-pub mod surroundings;
-mod survey;
+mod surroundings;
+pub mod survey;
 #[cfg(feature = "view")]
 pub mod view;
 pub mod vio;

@@ -1,12 +1,13 @@
 //! Whether a walk heard what others heard where it says that it was: floors that look alike have transmitters of their own.
 //!
-//! Powers are compared by their order alone. Phones read powers ten decibels apart, and a slab between floors takes no more, so that powers
-//! themselves tell no floor; but what is loudest on one floor is not on another, where its own transmitters are louder.
+//! What is loudest for the walk must be loud for the others: on another floor that floor's own transmitters are the loudest. Powers themselves tell
+//! no floor, as phones read them ten decibels apart and a slab takes hardly more: a walk that heard everything much weaker, as on a floor without
+//! transmitters, is doubtful, no more.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::Vector3;
-use lsfb_types::{Bounds, Finding, Limit, Timestamp, Verdict};
+use lsfb_types::{Bounds, Finding, Limit, Timestamp, Verdict, median};
 use serde::{Deserialize, Serialize};
 
 use super::placing::{PlacedReading, RadioKind};
@@ -37,7 +38,7 @@ impl Default for RadioAgreementConfig {
         Self {
             reach_m: 5.0,
             span_secs: 2.0,
-            // Right walks of a mall have at least 0.45, places known to some metres; thirty metres away 0.23 but for one.
+            // Right walks of a mall, whose places are known to some metres, have 0.44 and more; thirty metres away it is 0.19 at most, but for one.
             least_share: 0.3,
         }
     }
@@ -45,7 +46,7 @@ impl Default for RadioAgreementConfig {
 
 /// Fewer senders than this on either side say nothing of their order.
 const FEWEST_SENDERS: usize = 3;
-/// The loudest third counts, of each side, but no more senders than this: four names of one access point are one fact.
+/// The loudest third counts, but no more senders than this: four names of one access point are one fact.
 const MOST_LOUDEST: usize = 8;
 /// They are looked for among so many times as many of the other side.
 const AMONG: usize = 3;
@@ -53,6 +54,8 @@ const AMONG: usize = 3;
 const FEWEST_COMPARED: usize = 3;
 /// So much more than the least share is usual.
 const USUAL_OF_LEAST: f64 = 1.4;
+/// So much weaker than others no phone reads, decibel.
+const MOST_WEAKER_DB: f64 = 10.0;
 
 /// What a walk heard beside what others heard there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,8 +64,10 @@ pub struct RadioAgreement {
     pub compared: usize,
     /// Those where the table has too little around the walk's place.
     pub unknown: usize,
-    /// How much of what was loudest for the one was loud for the other, in the mean; zero of none.
+    /// How much of what was loudest for the walk was loud for the others, in the mean; zero of none.
     pub share: f64,
+    /// By how much weaker the walk heard what both heard, in the middle, decibel; zero of none.
+    pub weaker_db: f64,
     /// The settings' least.
     pub least_share: f64,
 }
@@ -81,15 +86,22 @@ impl RadioAgreement {
     /// As every command says it.
     pub fn finding(&self) -> Finding {
         let what = format!(
-            "in {} scans of Wi-Fi and spans of Bluetooth {:.0} % of what was loudest is what others heard there; at {} more nobody listened \
-             around there before",
+            "in {} scans of Wi-Fi and spans of Bluetooth {:.0} % of what was loudest was loud for others there, and {:.0} dB weaker in the middle; at {} \
+             more nobody listened around there before",
             self.compared,
             100.0 * self.share,
+            self.weaker_db,
             self.unknown
         );
         if !self.is_judged() {
             return Finding::new("radio", Verdict::Unknown, "trajectory", what)
                 .remedy("listen along the whole way once, and add those readings to the table");
+        }
+        if !self.contradicts() && self.weaker_db > MOST_WEAKER_DB {
+            return Finding::new("radio", Verdict::Warn, "trajectory", what)
+                .value(self.weaker_db, "dB")
+                .limit(Limit::AtMost(MOST_WEAKER_DB))
+                .remedy("make sure that the walk was on this floor: through a slab everything is weaker");
         }
         let usual = USUAL_OF_LEAST * self.least_share;
         let verdict = match (self.contradicts(), self.share < usual) {
@@ -133,21 +145,28 @@ pub fn radio_agreement(
     if copied > 0 {
         return Err(Error::CopiedScans { scans: copied });
     }
-    let (mut shares, mut unknown) = (Vec::new(), 0);
+    let (mut shares, mut weaker_db, mut unknown) = (Vec::new(), Vec::new(), 0);
     for span in spans(walk, config) {
         let around = radio(others).filter(|r| {
             r.kind == span.kind && (r.position_m - span.position_m).norm() <= config.reach_m
         });
-        match shared(&span.heard, &mean_powers(around)) {
+        let around = mean_powers(around);
+        match shared(&span.heard, &around) {
             Some(share) => shares.push(share),
             None => unknown += 1,
         }
+        let both = span
+            .heard
+            .iter()
+            .filter_map(|(s, own)| Some((own, around.get(s)?)));
+        weaker_db.extend(both.map(|(own, others)| others - own));
     }
     let compared = shares.len();
     Ok(RadioAgreement {
         compared,
         unknown,
         share: shares.iter().sum::<f64>() / compared.max(1) as f64,
+        weaker_db: median(weaker_db).unwrap_or(0.0),
         least_share: config.least_share,
     })
 }
@@ -202,20 +221,17 @@ fn mean_powers<'a>(readings: impl Iterator<Item = &'a PlacedReading>) -> Powers<
     sums.into_iter().map(mean).collect()
 }
 
-/// How much of the loudest of each is loud on the other side; `None` of too few.
-fn shared(a: &Powers<'_>, b: &Powers<'_>) -> Option<f64> {
-    let fewer = a.len().min(b.len());
+/// How much of the loudest of a walk's is loud for the others; `None` of too few.
+fn shared(walk: &Powers<'_>, others: &Powers<'_>) -> Option<f64> {
+    let fewer = walk.len().min(others.len());
     if fewer < FEWEST_SENDERS {
         return None;
     }
     let count = fewer.div_ceil(3).clamp(2, MOST_LOUDEST);
-    let (a, b) = (loudest(a), loudest(b));
-    let among = |some: &[&str], others: &[&str]| {
-        let others = &others[..others.len().min(AMONG * count)];
-        let some = some.iter().take(count);
-        some.filter(|s| others.contains(s)).count() as f64
-    };
-    Some((among(&a, &b) + among(&b, &a)) / (2 * count) as f64)
+    let (walk, others) = (loudest(walk), loudest(others));
+    let loud = &others[..others.len().min(AMONG * count)];
+    let known = walk.iter().take(count).filter(|s| loud.contains(s)).count();
+    Some(known as f64 / count as f64)
 }
 
 /// Senders from the loudest on; of equally loud ones in the order of their names.

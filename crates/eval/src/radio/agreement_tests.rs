@@ -40,7 +40,7 @@ fn agreement(walk: &[PlacedReading], others: &[PlacedReading]) -> RadioAgreement
 #[test]
 fn a_walk_heard_what_others_heard_there_whatever_its_phone_reads_too_much() {
     let others = heard(1, "ground", 0.0);
-    for offset_db in [-12.0, 0.0, 12.0] {
+    for offset_db in [-8.0, 0.0, 8.0] {
         let found = agreement(&heard(2, "ground", offset_db), &others);
         assert!(found.share > 0.8, "{found:?}");
         assert_eq!(found.finding().verdict, Verdict::Pass);
@@ -63,14 +63,12 @@ fn a_walk_on_another_floor_heard_others_louder() {
     assert!(found.contradicts());
 }
 
-/// On the same floor, but where other things are loud.
+/// A floor without transmitters of its own: the order of powers is the same, but no phone reads them so weak.
 #[test]
-fn a_walk_far_along_the_same_way_heard_others_louder() {
-    let mut walk = heard(2, "ground", 0.0);
-    for reading in &mut walk {
-        reading.position_m.x = 39.0 - reading.position_m.x;
-    }
-    assert!(agreement(&walk, &heard(1, "ground", 0.0)).contradicts());
+fn a_walk_that_heard_everything_much_weaker_is_doubtful() {
+    let found = agreement(&heard(2, "ground", 18.0), &heard(1, "ground", 0.0));
+    assert!(!found.contradicts(), "{found:?}");
+    assert_eq!(found.finding().verdict, Verdict::Warn);
 }
 
 #[test]
