@@ -28,6 +28,10 @@ const SETTLED: f64 = 2e-4;
 const TURN_SIGMA_RAD: f64 = 0.03;
 const SHIFT_SIGMA_M: f64 = 0.1;
 
+/// A scan lies off only where it fits better elsewhere: by so much must the logarithm of the likelihood of its points grow, for each of them. Along a
+/// direction in which few surfaces hold it, it fits as well some centimetres away (right maps: 0.024 at most; a jump of 25 cm: 0.17).
+const LEAST_GAIN: f64 = 0.04;
+
 /// Where less of a scan lies on surfaces than this share of what should, it is looked for around; it is there only where so many times as much does.
 const DOUBTFUL: f64 = 0.8;
 const CLEARLY: f64 = 1.15;
@@ -106,12 +110,30 @@ impl LidarFeatures {
         [on, met, asked]
     }
 
+    /// Minus the logarithm of the likelihood of a scan's points, for each of them, up to a constant; of those that meet no plane as of those that
+    /// just do.
+    fn misfit(&self, scan: &ScanFeatures, pose: &Se3) -> f64 {
+        let sensor = *pose * scan.sensor_in_rig;
+        let of = |off_m: f64| (off_m / SCALE_M).powi(2).ln_1p();
+        let (mut sum, mut asked) = (0.0, 0.0);
+        for point in some_of(scan, MOST_POINTS) {
+            let plane = self.plane_of(&(*pose * *point), &sensor);
+            sum += of(plane.map_or(GATE_M, |(_, off_m)| off_m));
+            asked += 1.0;
+        }
+        sum / f64::max(asked, 1.0)
+    }
+
     fn offset(&self, scan: &ScanFeatures, thought: &Se3, pose: &Se3) -> Option<ScanOffset> {
         let [on, met, asked] = self.count(scan, pose);
         if met < LEAST_POINTS || (met as f64) < LEAST_SHARE * asked as f64 {
             return None;
         }
-        let correction = thought.inverse() * *pose;
+        let gain = self.misfit(scan, thought) - self.misfit(scan, pose);
+        let correction = match gain < LEAST_GAIN {
+            true => Se3::identity(),
+            false => thought.inverse() * *pose,
+        };
         let moved = some_of(scan, MOST_POINTS).map(|point| {
             let near = *point * (NEAR_M / point.norm()).min(1.0);
             (correction * near - near).norm()

@@ -29,7 +29,7 @@ const FEWEST_SHARED: usize = 8;
 /// the map's images: chosen so that the regions of 95 % of the HoloLens office and the kitchen of 7-Scenes hold as much (`docs/figures.md`).
 const GIVEN_PER_MAP_ERROR: f64 = 0.7;
 pub(super) const OWN_PER_MAP_ERROR: f64 = 0.45;
-/// How far an image is, distance in depths of the scene and angle in radians taken together, where its standard deviation is twice that;
+/// How far an image is, distance in depths of the scene and angle between directions of view in radians taken together, where its standard deviation is twice that;
 /// it grows with the third power.
 const NEAR: f64 = 0.1;
 /// Standard deviation of a keypoint along each axis, and the error at which its weight has fallen to one half in units of that.
@@ -72,9 +72,20 @@ pub(super) fn pose_among_given(
     ranked.retain(|(_, points)| *points >= FEWEST_SHARED);
     ranked.sort_by_key(|(keyframe, points)| (std::cmp::Reverse(*points), *keyframe));
     ranked.truncate(MOST_IMAGES);
+    let looks_along = |pose: &Se3, rig_from_camera: &Se3| {
+        pose.rotation * (rig_from_camera.rotation * Vector3::z())
+    };
     let mut given = BTreeMap::new();
     for (keyframe, _) in ranked {
-        given.insert(keyframe, map.keyframe(keyframe)?.world_from_rig);
+        let world_from_rig = map.keyframe(keyframe)?.world_from_rig;
+        let mut saw = seen.iter().flatten().filter(|o| o.keyframe == keyframe);
+        let name = map.cameras().get(usize::from(saw.next()?.camera))?;
+        let mounted = map.rig().cameras.get(name)?;
+        let view = GivenView {
+            world_from_rig,
+            looks_along: looks_along(&world_from_rig, &mounted.rig_from_camera),
+        };
+        given.insert(keyframe, view);
     }
     if given.is_empty() {
         return None;
@@ -84,15 +95,23 @@ pub(super) fn pose_among_given(
         .iter()
         .map(|m| (m.point_in_world - own.translation).norm());
     let depth = median(depths.collect()).filter(|depth| *depth > 0.0)?;
+    let camera = query.cameras.get(matches.first()?.camera)?;
     let adjustment = Adjustment {
         query,
         matches: &matches,
         seen: &seen,
         given: &given,
+        looks_along: looks_along(own, &camera.rig_from_camera),
         depth,
         sigmas,
     };
     adjustment.solved(own).ok().flatten()
+}
+
+/// A given pose, and where in the world its camera looks.
+struct GivenView {
+    world_from_rig: Se3,
+    looks_along: Vector3<f64>,
 }
 
 struct Adjustment<'a> {
@@ -101,7 +120,9 @@ struct Adjustment<'a> {
     /// Where the map's images saw the point of each match.
     seen: &'a [Vec<MapObservation>],
     /// Poses of these images, by keyframe.
-    given: &'a BTreeMap<u32, Se3>,
+    given: &'a BTreeMap<u32, GivenView>,
+    /// Where the query's camera looks.
+    looks_along: Vector3<f64>,
     depth: f64,
     /// Of a given pose: radians, metres.
     sigmas: [f64; 2],
@@ -113,9 +134,9 @@ impl Adjustment<'_> {
         let own = problem.add_block(*start);
         let mut poses = BTreeMap::new();
         for (keyframe, given) in self.given {
-            let block = problem.add_block(*given);
+            let block = problem.add_block(given.world_from_rig);
             let [turn, place] = self.sigmas.map(|s| s * self.farness(given, start));
-            let prior = PosePrior::isotropic(*given, turn, place);
+            let prior = PosePrior::isotropic(given.world_from_rig, turn, place);
             problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
             poses.insert(*keyframe, block.id());
         }
@@ -167,10 +188,12 @@ impl Adjustment<'_> {
         }))
     }
 
-    /// Standard deviations of a given pose this far from the query, in those of one next to it, times its share of the map's error.
-    fn farness(&self, given: &Se3, own: &Se3) -> f64 {
-        let apart = given.inverse() * *own;
-        let far = (apart.translation.norm() / self.depth).hypot(apart.rotation.angle());
+    /// Standard deviations of a given pose this far from the query, in those of one next to it, times its share of the map's error. A camera held upside
+    /// down sees the same from there.
+    fn farness(&self, given: &GivenView, own: &Se3) -> f64 {
+        let apart_m = (given.world_from_rig.translation - own.translation).norm();
+        let turned_rad = given.looks_along.angle(&self.looks_along);
+        let far = (apart_m / self.depth).hypot(turned_rad);
         GIVEN_PER_MAP_ERROR * (1.0 + (far / NEAR).powi(3))
     }
 }

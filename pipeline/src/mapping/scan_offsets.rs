@@ -23,8 +23,8 @@ const LEAST_SHARED_FAR: f64 = 0.7;
 const LIMITS_M: [f64; 2] = [0.035, 0.05];
 /// By the least that the pairs of a scan say, of scans in a row.
 const LEAST_LIMIT_M: f64 = 0.02;
-/// Of scans beside other visits, which see the same surfaces from elsewhere: right maps reach 7.6 cm.
-const VISIT_LIMITS_M: [f64; 2] = [0.08, 0.12];
+/// Of scans beside other visits, which see the same surfaces from elsewhere: a right map reaches 9.8 cm.
+const VISIT_LIMITS_M: [f64; 2] = [0.12, 0.2];
 
 /// Which keyframe a scan is held against.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

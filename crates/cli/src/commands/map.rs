@@ -29,7 +29,7 @@ use crate::standing;
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map scan.mcap --trajectory other-slam.tum --out map
-///   lsfb map scan.mcap --trajectory scan.tum --clouds clouds.mcap --out map
+///   lsfb map scan.mcap --trajectory scan.tum --stored-clouds clouds.mcap --out map
 ///   lsfb map scan.mcap --marks marks.csv --survey hall.survey --out map --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
@@ -67,7 +67,7 @@ struct BuildArguments {
     trajectory: Option<PathBuf>,
     /// Take planes and edges from the scans that `lsfb odometry --out-clouds` stored of this recording.
     #[arg(long, value_name = "MCAP", conflicts_with = "posed_images")]
-    clouds: Option<PathBuf>,
+    stored_clouds: Option<PathBuf>,
     /// Clicks on marks in its images, as `lsfb map distances` takes them: their distances become part of verdict and page.
     #[arg(long, value_name = "CSV", conflicts_with = "posed_images")]
     marks: Option<PathBuf>,
@@ -150,7 +150,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out_report: arguments.out_report.as_deref(),
         config: &config,
         start: arguments.trajectory.as_deref(),
-        clouds: arguments.clouds.as_deref(),
+        clouds: arguments.stored_clouds.as_deref(),
         marks: arguments.marks.as_deref().map(|clicks| MarkFiles {
             clicks,
             survey: arguments.survey.as_deref(),

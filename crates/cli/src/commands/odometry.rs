@@ -33,7 +33,7 @@ use crate::outcome::Outcome;
 /// covariances. The list names every loop that was looked at, with its scores and its verdict; edit the verdicts and give it back with
 /// --loops, and it is used as it is.
 ///
-/// With --out-clouds, the deskewed scans are stored for `lsfb map --clouds`, a fifth of their points: planes by means of points, edges whole. Nothing is
+/// With --out-clouds, the deskewed scans are stored for `lsfb map --stored-clouds`, a fifth of their points: planes by means of points, edges whole. Nothing is
 /// stored where IMU and scans contradict each other.
 ///
 /// Examples:

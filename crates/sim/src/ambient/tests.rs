@@ -221,10 +221,11 @@ fn an_advertisement_is_an_ibeacon() {
         .iter()
         .map(|b| format!("{b:02x}"))
         .collect();
-    // Flags, Apple's prefix, UUID, major 1, minor 2, −59 dBm; layout as in the vector of the specification.
+    // Flags, Apple's prefix, UUID, the place's major, minor 2, −59 dBm; layout as in the vector of the specification.
+    let major = beacon.major;
     assert_eq!(
         hex,
-        "0201061aff4c0002159195b3ada9d0450085ff9fb0f65a520100010002c5"
+        format!("0201061aff4c0002159195b3ada9d0450085ff9fb0f65a5201{major:04x}0002c5")
     );
 }
 
