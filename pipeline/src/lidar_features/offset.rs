@@ -28,10 +28,6 @@ const SETTLED: f64 = 2e-4;
 const TURN_SIGMA_RAD: f64 = 0.03;
 const SHIFT_SIGMA_M: f64 = 0.1;
 
-/// A scan lies off only where it fits better elsewhere: by so much must the logarithm of the likelihood of its points grow, for each of them. Along a
-/// direction in which few surfaces hold it, it fits as well some centimetres away (right maps: 0.024 at most; a jump of 25 cm: 0.17).
-const LEAST_GAIN: f64 = 0.04;
-
 /// Where less of a scan lies on surfaces than this share of what should, it is looked for around; it is there only where so many times as much does.
 const DOUBTFUL: f64 = 0.8;
 const CLEARLY: f64 = 1.15;
@@ -51,6 +47,8 @@ pub struct ScanOffset {
     pub moved_m: f64,
     /// Share of its points that then lie on surfaces.
     pub on_surfaces: f64,
+    /// How much better it fits then: by how much the logarithm of the likelihood of its points grows, for each of them.
+    pub gain: f64,
 }
 
 impl LidarFeatures {
@@ -130,10 +128,7 @@ impl LidarFeatures {
             return None;
         }
         let gain = self.misfit(scan, thought) - self.misfit(scan, pose);
-        let correction = match gain < LEAST_GAIN {
-            true => Se3::identity(),
-            false => thought.inverse() * *pose,
-        };
+        let correction = thought.inverse() * *pose;
         let moved = some_of(scan, MOST_POINTS).map(|point| {
             let near = *point * (NEAR_M / point.norm()).min(1.0);
             (correction * near - near).norm()
@@ -142,6 +137,7 @@ impl LidarFeatures {
             correction,
             moved_m: moved.sum::<f64>() / asked as f64,
             on_surfaces: on as f64 / asked as f64,
+            gain,
         })
     }
 
