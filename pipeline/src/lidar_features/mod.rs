@@ -19,7 +19,7 @@ use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
 
 pub use offset::ScanOffset;
-pub use reduced::{POINTS_PER_BEND, ReducedScan};
+pub use reduced::{POINTS_PER_BEND, SparseScan};
 
 /// What counts as a feature, and as a correspondence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

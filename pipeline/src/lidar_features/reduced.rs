@@ -22,14 +22,14 @@ pub const POINTS_PER_BEND: usize = 3;
 
 /// A scan reduced, in the rig frame at the time it was deskewed to, metres.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ReducedScan {
+pub struct SparseScan {
     /// Means of points of one ring each, with the number of the ring.
     pub surfaces: Vec<(u16, Vector3<f64>)>,
     /// Where a ring bends: where its two straight pieces meet, and the middles of the one before and the one behind.
     pub bends: Vec<(u16, [Vector3<f64>; POINTS_PER_BEND])>,
 }
 
-impl ReducedScan {
+impl SparseScan {
     /// Of a scan given ring by ring in firing order, seen from `sensor_in_rig`, to at most this share of its points (edges are kept in any case).
     pub fn of(
         rings: &[Vec<Vector3<f64>>],

@@ -119,7 +119,7 @@ fn a_fifth_of_the_points_has_the_same_edges() {
     let reduced = joined_at(&room, t, &|rings, lidar, config| {
         let sensor_in_rig = lidar.rig_from_lidar.translation;
         let noise_m = lidar.range_noise_m;
-        let reduced = ReducedScan::of(rings, &sensor_in_rig, noise_m, config, 0.2);
+        let reduced = SparseScan::of(rings, &sensor_in_rig, noise_m, config, 0.2);
         let kept = reduced.surfaces.len() + POINTS_PER_BEND * reduced.bends.len();
         let all: usize = rings.iter().map(Vec::len).sum();
         shares.borrow_mut().push(kept as f64 / all as f64);

@@ -3,7 +3,7 @@
 //! An MCAP of ours with the rig in it. `/<lidar>/points` has each scan that found its place, in the LiDAR's frame at its last firing (its stamp; times of points
 //! are 0): means of short pieces of its rings. `/<lidar>_edges/points` has where its rings bend, three points for each: where the straight pieces meet, the middle
 //! of the one before, and the middle of the one behind. The metadata record `lsfb.clouds` says what was found by which settings.
-//! Reduction is described at [`ReducedScan`].
+//! Reduction is described at [`SparseScan`].
 
 #[cfg(test)]
 mod tests;
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::lidar_features::{LidarFeatureConfig, POINTS_PER_BEND, ReducedScan, ScanFeatures};
+use crate::lidar_features::{LidarFeatureConfig, POINTS_PER_BEND, ScanFeatures, SparseScan};
 use crate::odometry::{OdometryConfig, OdometryResult, scan_count};
 
 /// Share of the points that is stored.
@@ -110,7 +110,7 @@ fn store(
                 let sensor = lidar.rig_from_lidar.translation;
                 let noise_m = lidar.range_noise_m;
                 let share = config.share;
-                let reduced = ReducedScan::of(&rings, &sensor, noise_m, &config.features, share);
+                let reduced = SparseScan::of(&rings, &sensor, noise_m, &config.features, share);
                 let points: usize = rings.iter().map(Vec::len).sum();
                 Some((end, points as u64, reduced))
             })
@@ -190,11 +190,7 @@ fn deskewed(
 }
 
 /// Surfaces and edges, as messages have them.
-fn messages(
-    reduced: &ReducedScan,
-    end: Timestamp,
-    rig_from_lidar: &Se3,
-) -> [Stamped<LidarScan>; 2] {
+fn messages(reduced: &SparseScan, end: Timestamp, rig_from_lidar: &Se3) -> [Stamped<LidarScan>; 2] {
     let lidar_from_rig = rig_from_lidar.inverse();
     let message = |points: Vec<(u16, Vector3<f64>)>| Stamped {
         time: end,
@@ -239,7 +235,7 @@ pub struct StoredScan {
     /// Its last firing, to which it is deskewed.
     pub time: Timestamp,
     /// In the rig then.
-    pub reduced: ReducedScan,
+    pub reduced: SparseScan,
 }
 
 impl StoredClouds {
@@ -344,7 +340,7 @@ impl StoredClouds {
             });
             Ok(StoredScan {
                 time: surfaces.time,
-                reduced: ReducedScan {
+                reduced: SparseScan {
                     surfaces: surfaces.sample.points.iter().map(point).collect(),
                     bends: bends.collect(),
                 },
