@@ -167,7 +167,7 @@ pub fn refine_scan_poses(
     let mapping = MappingConfig {
         odometry_rotation_sigma_deg: config.rotation_sigma_deg,
         odometry_translation_sigma_m: config.translation_sigma_m,
-        solver: config.solver.clone(),
+        solver: config.solver,
         ..MappingConfig::default()
     };
     // The motion is as well known whatever the time from one scan to the next.
