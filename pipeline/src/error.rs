@@ -194,7 +194,8 @@ pub enum Error {
     },
     /// Two maps are not surely of one place.
     #[error(
-        "the maps do not surely meet: of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m, another scale of the second map moves it by {scale_shift_m:.3} m: check that both are in one unit, merge maps that overlap more, or whose overlap looks like no other place"
+        "the maps do not surely meet: {}: check that both are in one unit, merge maps that overlap more, or whose overlap looks like no other place",
+        how_they_meet([*pairs, *shared, *rival], *sigma_m, *scale_shift_m)
     )]
     MapsDoNotMeet {
         /// Pairs of points that look alike.
@@ -556,6 +557,15 @@ pub enum Error {
     /// The progress callback asked for an early end.
     #[error("{0}")]
     Stopped(#[from] lsfb_types::Stopped),
+}
+
+fn how_they_meet([pairs, shared, rival]: [usize; 3], sigma_m: f64, scale_shift_m: f64) -> String {
+    if !sigma_m.is_finite() {
+        return format!("the {pairs} points that look alike fit no alignment together");
+    }
+    format!(
+        "of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m, another scale of the second map moves it by {scale_shift_m:.3} m"
+    )
 }
 
 /// Why images give too few map points.

@@ -9,6 +9,7 @@ mod arrow_file;
 mod bending;
 mod camera_fit;
 pub mod descriptor_index;
+mod deskewed;
 mod error;
 pub mod features;
 mod frames;

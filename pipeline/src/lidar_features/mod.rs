@@ -411,55 +411,29 @@ impl Line {
 
 /// Lines through the creases of neighbouring rings.
 fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
-    const RADIUS_M: f64 = 0.4;
-    let mut used = vec![false; creases.len()];
-    let mut edges = Vec::new();
-    for seed in 0..creases.len() {
-        if used[seed] {
-            continue;
-        }
-        let near: Vec<usize> = (0..creases.len())
-            .filter(|&i| !used[i] && (creases[i].point() - creases[seed].point()).norm() < RADIUS_M)
-            .collect();
-        let line = Line::through(near.iter().map(|&i| creases[i].point()));
-        // Creases of another edge nearby are left out, once.
-        let members: Vec<usize> = near
-            .into_iter()
-            .filter(|&i| {
-                let off = line
-                    .direction
-                    .cross(&(creases[i].point() - line.point))
-                    .norm();
-                off < 3.0 * range_noise_m
-            })
-            .collect();
-        let mut rings: Vec<usize> = members.iter().map(|&i| creases[i].ring).collect();
-        rings.dedup();
-        if members.len() < MIN_POINTS_PER_EDGE || rings.len() < MIN_RINGS_PER_EDGE {
-            continue;
-        }
-        let line = Line::through(members.iter().map(|&i| creases[i].point()));
-        if !line.is_edge(members.len(), range_noise_m) {
-            continue;
-        }
+    let points: Vec<_> = creases.iter().map(Crease::point).collect();
+    join_points(&points, 0.4, range_noise_m, |line, members| {
         let joined: Vec<&Crease> = members.iter().map(|&i| &creases[i]).collect();
-        if !parts_two_planes(&line, &joined, range_noise_m) || !is_seen_evenly(&joined) {
-            continue;
-        }
-        for i in members {
-            used[i] = true;
-        }
-        edges.push(Edge {
-            point: line.point,
-            direction: line.direction,
-        });
-    }
-    edges
+        let mut rings: Vec<usize> = joined.iter().map(|c| c.ring).collect();
+        rings.dedup();
+        rings.len() >= MIN_RINGS_PER_EDGE
+            && parts_two_planes(line, &joined, range_noise_m)
+            && is_seen_evenly(&joined)
+    })
 }
 
 /// Lines through points that are known to lie on edges.
 fn lines_through(points: &[Vector3<f64>], range_noise_m: f64) -> Vec<Edge> {
-    const RADIUS_M: f64 = 0.6;
+    join_points(points, 0.6, range_noise_m, |_, _| true)
+}
+
+/// Lines through points that lie within a radius of one of them, where `is_edge` holds of the line and the points on it; each point is on one line at most.
+fn join_points(
+    points: &[Vector3<f64>],
+    radius_m: f64,
+    range_noise_m: f64,
+    is_edge: impl Fn(&Line, &[usize]) -> bool,
+) -> Vec<Edge> {
     let mut used = vec![false; points.len()];
     let mut edges = Vec::new();
     for seed in 0..points.len() {
@@ -467,7 +441,7 @@ fn lines_through(points: &[Vector3<f64>], range_noise_m: f64) -> Vec<Edge> {
             continue;
         }
         let near: Vec<usize> = (0..points.len())
-            .filter(|&i| !used[i] && (points[i] - points[seed]).norm() < RADIUS_M)
+            .filter(|&i| !used[i] && (points[i] - points[seed]).norm() < radius_m)
             .collect();
         let line = Line::through(near.iter().map(|&i| points[i]));
         // Points of another edge nearby are left out, once.
@@ -480,7 +454,7 @@ fn lines_through(points: &[Vector3<f64>], range_noise_m: f64) -> Vec<Edge> {
             continue;
         }
         let line = Line::through(members.iter().map(|&i| points[i]));
-        if !line.is_edge(members.len(), range_noise_m) {
+        if !line.is_edge(members.len(), range_noise_m) || !is_edge(&line, &members) {
             continue;
         }
         for i in members {

@@ -47,7 +47,10 @@ pub struct ScanOffset {
     pub moved_m: f64,
     /// Share of its points that then lie on surfaces.
     pub on_surfaces: f64,
-    /// How much better it fits then: by how much the logarithm of the likelihood of its points grows, for each of them.
+    /// By how much the logarithm of the likelihood of its points grows.
+    pub evidence: f64,
+    /// How much better it fits then: by how much the logarithm of the likelihood of its points grows, for each of those that see the difference, as a
+    /// share of what it is for a point that lies so far off. Near one where it did lie off; a fit that went astray gains nothing.
     pub gain: f64,
 }
 
@@ -108,18 +111,24 @@ impl LidarFeatures {
         [on, met, asked]
     }
 
-    /// Minus the logarithm of the likelihood of a scan's points, for each of them, up to a constant; of those that meet no plane as of those that
-    /// just do.
-    fn misfit(&self, scan: &ScanFeatures, pose: &Se3) -> f64 {
-        let sensor = *pose * scan.sensor_in_rig;
-        let of = |off_m: f64| (off_m / SCALE_M).powi(2).ln_1p();
-        let (mut sum, mut asked) = (0.0, 0.0);
+    /// By how much the logarithm of the likelihood of a scan's points grows from one pose to another, and for each point whose distance from its plane that
+    /// changes: a direction that few surfaces hold is judged by these few. Points that meet a plane at one of both alone are no witnesses: at the edge of
+    /// a surface, and behind others, as many come as go.
+    fn gain(&self, scan: &ScanFeatures, from: &Se3, to: &Se3) -> [f64; 2] {
+        let (mut sum, mut sensitive) = (0.0, 0.0);
         for point in some_of(scan, MOST_POINTS) {
-            let plane = self.plane_of(&(*pose * *point), &sensor);
-            sum += of(plane.map_or(GATE_M, |(_, off_m)| off_m));
-            asked += 1.0;
+            let (before, after) = (*from * *point, *to * *point);
+            let Some(along) = (after - before).try_normalize(f64::MIN_POSITIVE) else {
+                continue;
+            };
+            let met_before = self.plane_of(&before, &(*from * scan.sensor_in_rig));
+            let met_after = self.plane_of(&after, &(*to * scan.sensor_in_rig));
+            if let (Some((_, before_m)), Some((plane, after_m))) = (met_before, met_after) {
+                sum += cost(before_m) - cost(after_m);
+                sensitive += plane.normal.dot(&along).powi(2);
+            }
         }
-        sum / f64::max(asked, 1.0)
+        [sum, sum / f64::max(sensitive, 1.0)]
     }
 
     fn offset(&self, scan: &ScanFeatures, thought: &Se3, pose: &Se3) -> Option<ScanOffset> {
@@ -127,17 +136,20 @@ impl LidarFeatures {
         if met < LEAST_POINTS || (met as f64) < LEAST_SHARE * asked as f64 {
             return None;
         }
-        let gain = self.misfit(scan, thought) - self.misfit(scan, pose);
         let correction = thought.inverse() * *pose;
         let moved = some_of(scan, MOST_POINTS).map(|point| {
             let near = *point * (NEAR_M / point.norm()).min(1.0);
             (correction * near - near).norm()
         });
+        let moved_m = moved.sum::<f64>() / asked as f64;
+        let [evidence, gain] = self.gain(scan, thought, pose);
+        let of_such = f64::max(cost(moved_m), f64::MIN_POSITIVE);
         Some(ScanOffset {
             correction,
-            moved_m: moved.sum::<f64>() / asked as f64,
+            moved_m,
             on_surfaces: on as f64 / asked as f64,
-            gain,
+            evidence,
+            gain: gain / of_such,
         })
     }
 
@@ -179,6 +191,11 @@ impl LidarFeatures {
         });
         Some(found?.value)
     }
+}
+
+/// Minus the logarithm of the likelihood of a point so far from its plane.
+fn cost(off_m: f64) -> f64 {
+    (off_m / SCALE_M).powi(2).ln_1p()
 }
 
 /// At most so many points of a scan, evenly taken.

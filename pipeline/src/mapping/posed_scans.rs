@@ -100,9 +100,9 @@ pub struct ScanPoseReport {
     pub turned_deg: f64,
     /// Farthest that a motion from scan to scan is from what was given, in standard deviations of what was.
     pub sigmas: f64,
-    /// Least share of a scan's planes that lie on surfaces of another, and which scan that is.
+    /// Least share of planes that lie on surfaces of one of the scans joined before, where scans are joined to the first one by one, the best match next.
     pub least_matched: f64,
-    /// Its index.
+    /// Index of the scan that was joined by it.
     pub least_matched_scan: u64,
     /// Whether poses and correspondences had come to rest.
     pub rests: bool,
@@ -117,7 +117,7 @@ impl ScanPoseReport {
             if fits { Verdict::Pass } else { Verdict::Fail },
             "scans",
             format!(
-                "of the planes of scan {} (from 0) {:.0} % lie on surfaces of others",
+                "scan {} (from 0) shares at most {:.0} % of planes with any that the first is joined to",
                 self.least_matched_scan,
                 1e2 * self.least_matched
             ),
@@ -222,11 +222,9 @@ pub fn refine_scan_poses(
     }
     let lidar_after = lidar_residuals(&keyframes.frames, &found);
     let poses = keyframes.poses();
-    let matched = matched_shares(&keyframes.frames, &found);
+    let weakest = weakest_join(scans.len(), &matched_shares(&keyframes.frames, &found));
     keyframes.place(&given);
     let [moved_m, turned_rad] = largest_move(&given, &poses);
-    let least = matched.iter().copied().enumerate();
-    let least = least.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
     let report = ScanPoseReport {
         scans: scans.len() as u64,
         lidar_before: lidar_residuals(&keyframes.frames, &found),
@@ -234,8 +232,8 @@ pub fn refine_scan_poses(
         moved_m,
         turned_deg: turned_rad.to_degrees(),
         sigmas: most_sigmas(&given, &poses, config),
-        least_matched: least.1,
-        least_matched_scan: least.0 as u64,
+        least_matched: weakest.1,
+        least_matched_scan: weakest.0 as u64,
         rests,
     };
     let stamped = poses.iter().zip(scans).map(|(pose, scan)| StampedPose {
@@ -248,20 +246,43 @@ pub fn refine_scan_poses(
     })
 }
 
-/// Of each scan the largest share of its planes that lie on surfaces of one other, or the other's on its.
-fn matched_shares(frames: &[Keyframe], found: &[(ScanPair, Correspondences)]) -> Vec<f64> {
-    let mut shares = vec![0.0; frames.len()];
-    for (pair, both) in found {
-        let planes = frames[pair.n]
-            .lidar
-            .as_ref()
-            .map_or(0, |l| l.planes().len());
-        let share = both.planes.len() as f64 / planes.max(1) as f64;
-        for k in [pair.m, pair.n] {
-            shares[k] = f64::max(shares[k], share);
+/// Share of the planes of the second of two scans that lie on surfaces of the first.
+fn matched_shares(
+    frames: &[Keyframe],
+    found: &[(ScanPair, Correspondences)],
+) -> Vec<([usize; 2], f64)> {
+    let planes_of = |n: usize| frames[n].lidar.as_ref().map_or(0, |l| l.planes().len());
+    let shares = found.iter().map(|(pair, both)| {
+        let share = both.planes.len() as f64 / planes_of(pair.n).max(1) as f64;
+        ([pair.m, pair.n], share)
+    });
+    shares.collect()
+}
+
+/// Scans are joined to the first one by one, each time the one that matches one of those joined best. Of all these the weakest: its number, and the share of planes that
+/// lie on surfaces of the other. Where scans fall into groups that match within themselves alone, that is what joins the groups.
+fn weakest_join(scans: usize, shares: &[([usize; 2], f64)]) -> (usize, f64) {
+    let mut best: Vec<f64> = vec![0.0; scans];
+    let mut waiting: Vec<usize> = (1..scans).collect();
+    let mut weakest = (0, f64::INFINITY);
+    let mut joined = 0;
+    while !waiting.is_empty() {
+        for (pair, share) in shares {
+            let other = match pair {
+                [a, b] if *a == joined => *b,
+                [a, b] if *b == joined => *a,
+                _ => continue,
+            };
+            best[other] = best[other].max(*share);
+        }
+        let next =
+            (0..waiting.len()).max_by(|a, b| best[waiting[*a]].total_cmp(&best[waiting[*b]]));
+        joined = waiting.remove(next.unwrap_or_default());
+        if best[joined] < weakest.1 {
+            weakest = (joined, best[joined]);
         }
     }
-    shares
+    weakest
 }
 
 /// Farthest that a motion from scan to scan is from what was given.
@@ -275,4 +296,17 @@ fn most_sigmas(given: &[StampedPose], found: &[StampedPose], config: &ScanPoseCo
         turned.max(shifted)
     });
     sigmas.fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::weakest_join;
+
+    #[test]
+    fn groups_that_match_within_themselves_alone_are_held_by_what_joins_them() {
+        let within = [([0, 1], 0.9), ([2, 3], 0.8), ([1, 4], 0.7)];
+        assert_eq!(weakest_join(5, &within).1, 0.0);
+        let bridged = [&within[..], &[([4, 3], 0.4), ([0, 2], 0.1)]].concat();
+        assert_eq!(weakest_join(5, &bridged), (3, 0.4));
+    }
 }

@@ -1,12 +1,13 @@
 //! Where mapping has its scans from: the recording, or clouds that the odometry stored.
 
 use lsfb_geometry::{RigLidar, Se3, Trajectory};
-use lsfb_perception::lidar::{KNOT_NS, MotionKnot, RangeWindow, deskew_rings};
+use lsfb_perception::lidar::KNOT_NS;
 use lsfb_recording::Recording;
 use lsfb_types::{LidarScan, Stamped, Timestamp};
 
 use super::MappingConfig;
 use crate::Error;
+use crate::deskewed::Deskewed;
 use crate::lidar_features::ScanFeatures;
 use crate::stored_clouds::{StoredClouds, StoredScan};
 
@@ -90,30 +91,14 @@ fn deskewed(
 ) -> Option<MiddleScan> {
     let last = scan.sample.points.last().map_or(0, |p| p.time_offset_ns);
     let time = scan.time.plus_nanos(i64::from(last / 2));
-    let world_from_rig = trajectory.at(time)?;
-    let rig_from_world = world_from_rig.inverse();
-    let knots: Vec<MotionKnot> = (0..=SCAN_KNOTS)
-        .filter_map(|i| {
-            let offset_ns = i * KNOT_NS;
-            let pose = trajectory.at(scan.time.plus_nanos(offset_ns))?;
-            Some(MotionKnot {
-                offset_ns,
-                reference_from_rig: rig_from_world * pose,
-            })
-        })
-        .collect();
-    let window = RangeWindow {
-        min_m: config.odometry.min_range_m,
-        max_m: config.odometry.max_range_m,
-    };
-    let rig_from_lidar = &lidar.rig_from_lidar;
-    let rings = deskew_rings(&scan.sample, rig_from_lidar, &knots, window);
+    let offsets_ns = (0..=SCAN_KNOTS).map(|i| i * KNOT_NS);
+    let deskewed = Deskewed::at(time, scan, lidar, trajectory, offsets_ns, &config.odometry)?;
     Some(MiddleScan {
         time,
-        world_from_rig,
+        world_from_rig: deskewed.world_from_rig,
         features: ScanFeatures::extract(
-            &rings,
-            &rig_from_lidar.translation,
+            &deskewed.rings,
+            &lidar.rig_from_lidar.translation,
             lidar.range_noise_m,
             &config.lidar_features,
         ),

@@ -1,7 +1,7 @@
 //! Settings of the odometry.
 
 use lsfb_geometry::RigLidar;
-use lsfb_perception::lidar::{LocalMapConfig, RegistrationConfig, Weighting};
+use lsfb_perception::lidar::{LocalMapConfig, RangeWindow, RegistrationConfig, Weighting};
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
@@ -43,6 +43,14 @@ impl OdometryConfig {
             keypoint_voxel_m: 1.0,
             insert_voxel_m: 0.25,
             ..Self::default()
+        }
+    }
+
+    /// Which returns are used.
+    pub(crate) fn ranges(&self) -> RangeWindow {
+        RangeWindow {
+            min_m: self.min_range_m,
+            max_m: self.max_range_m,
         }
     }
 

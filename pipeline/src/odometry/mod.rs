@@ -31,8 +31,8 @@ use std::collections::VecDeque;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{
-    LocalMap, MotionKnot, PosePrior, RangeWindow, Registration, RegistrationConfig, deskew,
-    register, voxel_downsample,
+    LocalMap, MotionKnot, PosePrior, Registration, RegistrationConfig, deskew, register,
+    voxel_downsample,
 };
 use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
@@ -375,11 +375,8 @@ impl Odometry {
                 reference_from_rig: end_from_world * p.world_from_rig,
             })
             .collect();
-        let window = RangeWindow {
-            min_m: self.config.min_range_m,
-            max_m: self.config.max_range_m,
-        };
-        let cloud = deskew(&scan.sample, &self.lidar.rig_from_lidar, &knots, window);
+        let ranges = self.config.ranges();
+        let cloud = deskew(&scan.sample, &self.lidar.rig_from_lidar, &knots, ranges);
         let insert_points = voxel_downsample(&cloud, self.config.insert_voxel_m);
         let keypoints = voxel_downsample(&insert_points, self.config.keypoint_voxel_m);
         ReducedScan {

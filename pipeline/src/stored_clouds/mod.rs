@@ -12,13 +12,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Rig, RigLidar, Se3, Trajectory, Vector3};
-use lsfb_perception::lidar::{KNOT_NS, MotionKnot, RangeWindow, deskew_rings};
+use lsfb_perception::lidar::KNOT_NS;
 use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_types::{LidarPoint, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::deskewed::Deskewed;
 use crate::lidar_features::{LidarFeatureConfig, POINTS_PER_BEND, ScanFeatures, SparseScan};
 use crate::odometry::{OdometryConfig, OdometryResult, scan_count};
 
@@ -167,26 +168,11 @@ fn deskewed(
     config: &OdometryConfig,
 ) -> Option<(Vec<Vec<Vector3<f64>>>, Timestamp)> {
     let end = end_of(scan);
-    let end_from_world = trajectory.at(end)?.inverse();
     let span_ns = end - scan.time;
-    let offsets_ns = (0..=span_ns / KNOT_NS)
-        .map(|k| k * KNOT_NS)
-        .chain([span_ns]);
-    let knots: Vec<MotionKnot> = offsets_ns
-        .filter_map(|offset_ns| {
-            let pose = trajectory.at(scan.time.plus_nanos(offset_ns))?;
-            Some(MotionKnot {
-                offset_ns,
-                reference_from_rig: end_from_world * pose,
-            })
-        })
-        .collect();
-    let window = RangeWindow {
-        min_m: config.min_range_m,
-        max_m: config.max_range_m,
-    };
-    let rings = deskew_rings(&scan.sample, &lidar.rig_from_lidar, &knots, window);
-    Some((rings, end))
+    let steps = (0..=span_ns / KNOT_NS).map(|k| k * KNOT_NS);
+    let offsets_ns = steps.chain([span_ns]);
+    let deskewed = Deskewed::at(end, scan, lidar, trajectory, offsets_ns, config)?;
+    Some((deskewed.rings, end))
 }
 
 /// Surfaces and edges, as messages have them.
