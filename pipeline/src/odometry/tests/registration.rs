@@ -1,7 +1,7 @@
 //! Registration to the local map, in the synthetic room.
 
 use super::room::{self, Room};
-use lsfb_perception::lidar::{LocalMapConfig, Weighting};
+use lsfb_perception::lidar::{LocalMapConfig, RangeWindow, Weighting};
 
 use super::*;
 
