@@ -61,7 +61,8 @@ impl Odometry {
         let shift_m = 0.5 * self.config.finest_cell_m();
         let points = &reduced.keypoints;
         let seen = observability(points, found, &config, shift_m, |points, pose, gate_m| {
-            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+            let mut finder = self.map.finder(points, &sensor_in_rig);
+            finder.find_planes(pose, gate_m)
         });
         let Some(seen) = seen else {
             return ScanInformation::default();

@@ -393,9 +393,9 @@ impl Odometry {
         let prior = self.prior(path);
         let config = self.registration(self.gate_m(path, &prior));
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        let mut finder = self.map.finder(&reduced.keypoints, &sensor_in_rig);
         register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
-            let points = &reduced.keypoints;
-            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+            finder.find_all(pose, gate_m)
         })
     }
 

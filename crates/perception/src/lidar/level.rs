@@ -120,7 +120,24 @@ impl ScanPoint {
 /// Where the surfaces of a cell are: the first seen, and one that faces the other way.
 type Sides = [u32; 2];
 /// No surface.
-const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
+
+/// A cell, and the surfaces in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    key: u64,
+    sides: Sides,
+}
+
+impl Default for Cell {
+    /// None: keys have 63 bits.
+    fn default() -> Self {
+        Self {
+            key: u64::MAX,
+            sides: [NONE; 2],
+        }
+    }
+}
 
 /// The cells of one size.
 #[derive(Clone, Debug)]
@@ -200,6 +217,21 @@ impl Level {
         })
     }
 
+    /// Goes to the cell of a point, if it is not there.
+    pub fn enter(&self, in_grid: &Vector3<f64>, cell: &mut Cell) {
+        let key = self.key(in_grid);
+        if cell.key != key {
+            let sides = self.sides_of.get(&key).copied().unwrap_or([NONE; 2]);
+            *cell = Cell { key, sides };
+        }
+    }
+
+    /// The surface in a cell that is seen from a direction.
+    pub fn surface(&self, cell: &Cell, towards_sensor: &Vector3<f64>) -> Option<&Surface> {
+        let side = self.side(&cell.sides, towards_sensor);
+        self.surfaces.get(cell.sides[side] as usize)
+    }
+
     /// The surface at a point that is seen from a direction: `None` without a cell there, and inside `None` where nothing in it was seen
     /// from that side.
     pub fn find(
@@ -212,14 +244,17 @@ impl Level {
         Some(self.surfaces.get(sides[side] as usize))
     }
 
-    /// The nearest mean of a cell's points, of its first side, nearer than `gate_m`.
+    /// The nearest mean of a cell's points, of its first side, nearer than `gate_m`. `near` is the surface that had the nearest mean where the point was before,
+    /// if there is one: it is the nearest still unless one is nearer, so that most cells need not be looked into. It becomes the one found.
     pub fn nearest_mean(
         &self,
         point: &Vector3<f64>,
         in_grid: &Vector3<f64>,
         gate_m: f64,
+        near: &mut u32,
     ) -> Option<Vector3<f64>> {
-        let reach = ((gate_m / self.size_m).ceil() as i64).clamp(1, MAX_NEIGHBOUR_CELLS);
+        let farthest = (gate_m / self.size_m).ceil() as i64;
+        let reach = farthest.clamp(1, MAX_NEIGHBOUR_CELLS);
         let around = OUTWARDS.get(..=2 * reach as usize)?;
         // As the key has it.
         let in_cells = in_grid * (1.0 / self.size_m);
@@ -236,6 +271,20 @@ impl Level {
         let key = self.key(in_grid);
         let mut squared = gate_m * gate_m;
         let mut best = None;
+        // Where all cells within the gate are looked into, that of the former mean is one of them.
+        let before = self.surfaces.get(*near as usize);
+        if let Some(surface) = before.filter(|_| farthest <= MAX_NEIGHBOUR_CELLS) {
+            let mean = surface.sums.mean();
+            let of_mean = (mean - point).norm_squared();
+            if of_mean < squared {
+                // Of two that are equally near the first counts, whichever that is.
+                squared = of_mean.next_up();
+                best = Some(mean);
+            }
+        }
+        if best.is_none() {
+            *near = NONE;
+        }
         for dx in around {
             let of_x = squared_gap(0, *dx);
             if of_x > squared {
@@ -251,7 +300,10 @@ impl Level {
                         continue;
                     }
                     let sides = self.sides_of.get(&neighbour_key(key, [*dx, *dy, *dz]));
-                    let Some(first) = sides.and_then(|s| self.surfaces.get(s[0] as usize)) else {
+                    let Some(sides) = sides else {
+                        continue;
+                    };
+                    let Some(first) = self.surfaces.get(sides[0] as usize) else {
                         continue;
                     };
                     let mean = first.sums.mean();
@@ -259,6 +311,7 @@ impl Level {
                     if of_mean < squared {
                         squared = of_mean;
                         best = Some(mean);
+                        *near = sides[0];
                     }
                 }
             }
@@ -351,7 +404,10 @@ mod tests {
                 let distance = |mean: &Vector3<f64>| (mean - from).norm();
                 let nearest = means.min_by(|a, b| distance(a).total_cmp(&distance(b)));
                 let expected = nearest.filter(|mean| distance(mean) < gate_m);
-                assert_eq!(level.nearest_mean(&from, &from, gate_m), expected);
+                assert_eq!(
+                    level.nearest_mean(&from, &from, gate_m, &mut NONE.clone()),
+                    expected
+                );
             }
         }
     }

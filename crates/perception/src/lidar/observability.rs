@@ -191,11 +191,12 @@ mod tests {
             information: Matrix6::identity(),
         };
         let sensor = Vector3::zeros();
+        let mut finder = map.finder(&points, &sensor);
         let found = register(&points, &prior, &config, |pose, gate_m| {
-            map.find_all(&points, &sensor, pose, gate_m)
+            finder.find_all(pose, gate_m)
         });
         let seen = observability(&points, &found, &config, 0.125, |points, pose, gate_m| {
-            map.find_all(points, &sensor, pose, gate_m)
+            map.finder(points, &sensor).find_planes(pose, gate_m)
         });
         seen.expect("points agree")
     }
