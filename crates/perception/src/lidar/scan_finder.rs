@@ -185,16 +185,23 @@ mod tests {
         for k in 0..4 {
             let mut points = anywhere(1500);
             // Half of them on a wall.
-            points.iter_mut().skip(700).for_each(|p| p.x = 4.0);
-            let pose = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.1 * f64::from(k), 0.0, 0.0));
+            points.iter_mut().skip(700).for_each(|p| p.x = 6.0);
+            let pose = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.1 * f64::from(k), 0.0));
             map.insert(&points, &pose, &sensor);
         }
         let mut points = anywhere(600);
-        points.iter_mut().skip(300).for_each(|p| p.x = 4.0);
+        points.iter_mut().skip(300).for_each(|p| p.x = 6.0);
         let mut finder = map.finder(&points, &sensor);
         for k in 0..12 {
             let s = 0.02 * f64::from(k);
-            let pose = Se3::exp(&Vector6::new(0.2 * s, -0.1 * s, s, s, -0.5 * s, 3.0 * s));
+            let pose = Se3::exp(&Vector6::new(
+                0.2 * s,
+                -0.1 * s,
+                0.2 * s,
+                s,
+                -0.5 * s,
+                3.0 * s,
+            ));
             let gate_m = [2.0, 0.7, 0.3][k as usize % 3];
             let expected: Vec<_> = points
                 .iter()
