@@ -5,7 +5,8 @@
 
 use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector3, Vector6};
 use lsfb_perception::lidar::{
-    LocalMap, Observability, PosePrior, Registration, RegistrationConfig, observability, register,
+    LocalMap, Observability, PosePrior, Registration, RegistrationConfig, ScanFinder,
+    observability, register,
 };
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
@@ -135,7 +136,7 @@ pub(crate) fn seen(
     config: &RegistrationConfig,
 ) -> Option<Observability> {
     let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-        let mut finder = map.finder(points, &query.sensor_in_rig);
+        let mut finder = ScanFinder::new(map, points, &query.sensor_in_rig);
         finder.find_planes(pose, gate_m)
     };
     observability(query.points_in_rig, place, config, TRIAL_SHIFT_M, planes)
@@ -152,7 +153,7 @@ fn refine(query: &Query, start: &Se3, map: &LocalMap, config: &RegistrationConfi
         // Holds a scan without structure, and weighs nothing against one with.
         information: Matrix6::identity(),
     };
-    let mut finder = map.finder(query.points_in_rig, &query.sensor_in_rig);
+    let mut finder = ScanFinder::new(map, query.points_in_rig, &query.sensor_in_rig);
     register(query.points_in_rig, &prior, config, |pose, gate_m| {
         finder.find_all(pose, gate_m)
     })

@@ -11,7 +11,6 @@ use rayon::prelude::*;
 use super::level::{Level, NONE, seen_from};
 use super::plane_map::PlaneMap;
 use super::registration::Match;
-use super::scan_finder::ScanFinder;
 
 /// Sizes and tolerances of a [`LocalMap`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -152,15 +151,6 @@ impl LocalMap {
         finest
             .nearest_mean(point, &in_grid, gate_m, &mut NONE.clone())
             .map(Match::Point)
-    }
-
-    /// Looks up the points of a scan, seen from its sensor, at one pose after the other.
-    pub fn finder<'a>(
-        &'a self,
-        points_in_rig: &'a [Vector3<f64>],
-        sensor_in_rig: &Vector3<f64>,
-    ) -> ScanFinder<'a> {
-        ScanFinder::new(self, points_in_rig, sensor_in_rig)
     }
 
     /// The place from which the newest scan was inserted: places are numbered from 1 in the order of the walk; 0 before the first.

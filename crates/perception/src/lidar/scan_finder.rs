@@ -58,7 +58,8 @@ struct Placed {
 }
 
 impl<'a> ScanFinder<'a> {
-    pub(super) fn new(
+    /// For points in the rig, seen from a sensor there.
+    pub fn new(
         map: &'a LocalMap,
         points_in_rig: &'a [Vector3<f64>],
         sensor_in_rig: &Vector3<f64>,
@@ -191,7 +192,7 @@ mod tests {
         }
         let mut points = anywhere(600);
         points.iter_mut().skip(300).for_each(|p| p.x = 6.0);
-        let mut finder = map.finder(&points, &sensor);
+        let mut finder = ScanFinder::new(&map, &points, &sensor);
         for k in 0..12 {
             let s = 0.02 * f64::from(k);
             let pose = Se3::exp(&Vector6::new(

@@ -5,7 +5,7 @@
 //! (half a metre in a second on stairs), so it does not count by itself: the scans must lie on each other much better as it has them than as the trajectory does.
 
 use lsfb_geometry::{Matrix6, Se3, Vector3};
-use lsfb_perception::lidar::{LocalMap, Match, PosePrior, register};
+use lsfb_perception::lidar::{LocalMap, Match, PosePrior, ScanFinder, register};
 
 use super::scans::{GATE_M, Scans, seen_off_m};
 use crate::odometry::OdometryConfig;
@@ -48,7 +48,7 @@ impl Chain {
                 // Next to nothing: it holds what no plane does.
                 information: Matrix6::identity(),
             };
-            let mut finder = map.finder(&points, &sensor_in_rig);
+            let mut finder = ScanFinder::new(&map, &points, &sensor_in_rig);
             let found = register(&points, &prior, &settings, |pose, gate_m| {
                 finder.find_planes(pose, gate_m)
             });
@@ -58,7 +58,7 @@ impl Chain {
             if now == last {
                 let stated = scans.seen_from(first, last);
                 let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-                    map.finder(points, &sensor_in_rig).find_planes(pose, gate_m)
+                    ScanFinder::new(&map, points, &sensor_in_rig).find_planes(pose, gate_m)
                 };
                 off_m = seen_off_m(&points, &stated, &found, &settings, config, planes);
             }
@@ -111,7 +111,7 @@ fn lie(scans: &Scans<'_>, config: &OdometryConfig, first: usize, poses: &[Se3]) 
         }
         for (at, pose) in placed(1 - half) {
             let points = scans.points(first + at)?;
-            let found = map.finder(&points, &sensor_in_rig).find_planes(pose, LIE_M);
+            let found = ScanFinder::new(&map, &points, &sensor_in_rig).find_planes(pose, LIE_M);
             let costs = points.iter().zip(found).map(|(point, found)| match found {
                 Some(Match::Plane(plane)) => {
                     let off_m = plane.normal.dot(&(*pose * *point - plane.point));

@@ -6,7 +6,7 @@
 //! The walk is judged by its worst stretch, as half of one may be right.
 
 use lsfb_geometry::{Matrix6, Se3, Vector3};
-use lsfb_perception::lidar::{LocalMap, PosePrior, register};
+use lsfb_perception::lidar::{LocalMap, PosePrior, ScanFinder, register};
 use lsfb_perception::statistics::median;
 use rayon::prelude::*;
 
@@ -164,12 +164,12 @@ fn off_by_map(
     };
     let settings = config.registration(lidar, GATE_M.min(config.initial_gate_m));
     let points = scans.points(second)?;
-    let mut finder = map.finder(&points, &sensor_in_rig);
+    let mut finder = ScanFinder::new(&map, &points, &sensor_in_rig);
     let found = register(&points, &prior, &settings, |pose, gate_m| {
         finder.find_planes(pose, gate_m)
     });
     let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-        map.finder(points, &sensor_in_rig).find_planes(pose, gate_m)
+        ScanFinder::new(&map, points, &sensor_in_rig).find_planes(pose, gate_m)
     };
     let off_m = seen_off_m(&points, &stated, &found, &settings, config, planes)?;
     (found.inlier_ratio > MIN_OVERLAP).then_some(off_m)

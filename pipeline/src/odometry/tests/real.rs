@@ -65,7 +65,7 @@ fn worst_of_pairs(
                 information: Matrix6::identity(),
             };
             let settings = odometry.registration(config.initial_gate_m);
-            let mut finder = map.finder(&keypoints, &sensor);
+            let mut finder = ScanFinder::new(&map, &keypoints, &sensor);
             let found = register(&keypoints, &prior, &settings, |pose, gate_m| {
                 finder.find_all(pose, gate_m)
             });

@@ -49,7 +49,7 @@ fn finds_the_pose_from_wrong_guesses_in_all_directions() {
                 world_from_rig: truth * Se3::exp(&offset),
                 information: Matrix6::identity(),
             };
-            let mut finder = map.finder(&keypoints, &sensor_in_rig);
+            let mut finder = ScanFinder::new(&map, &keypoints, &sensor_in_rig);
             let found = register(&keypoints, &prior, &config(), |pose, gate_m| {
                 finder.find_all(pose, gate_m)
             });
@@ -73,7 +73,7 @@ fn without_a_map_the_prior_stands() {
         information: Matrix6::identity(),
     };
     let keypoints = vec![Vector3::new(1.0, 2.0, 3.0); 10];
-    let mut finder = map.finder(&keypoints, &Vector3::zeros());
+    let mut finder = ScanFinder::new(&map, &keypoints, &Vector3::zeros());
     let found = register(&keypoints, &prior, &config(), |pose, gate_m| {
         finder.find_all(pose, gate_m)
     });
