@@ -5,7 +5,8 @@
 
 use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector3, Vector6};
 use lsfb_perception::lidar::{
-    LocalMap, Observability, PosePrior, Registration, RegistrationConfig, observability, register,
+    LocalMap, Observability, PosePrior, Registration, RegistrationConfig, ScanFinder,
+    observability, register,
 };
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
@@ -134,10 +135,11 @@ pub(crate) fn seen(
     map: &LocalMap,
     config: &RegistrationConfig,
 ) -> Option<Observability> {
-    let find_all = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-        map.find_all(points, &query.sensor_in_rig, pose, gate_m)
+    let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
+        let mut finder = ScanFinder::new(map, points, &query.sensor_in_rig);
+        finder.find_planes(pose, gate_m)
     };
-    observability(query.points_in_rig, place, config, TRIAL_SHIFT_M, find_all)
+    observability(query.points_in_rig, place, config, TRIAL_SHIFT_M, planes)
 }
 
 fn is_same(a: &Se3, b: &Se3) -> bool {
@@ -151,8 +153,9 @@ fn refine(query: &Query, start: &Se3, map: &LocalMap, config: &RegistrationConfi
         // Holds a scan without structure, and weighs nothing against one with.
         information: Matrix6::identity(),
     };
+    let mut finder = ScanFinder::new(map, query.points_in_rig, &query.sensor_in_rig);
     register(query.points_in_rig, &prior, config, |pose, gate_m| {
-        map.find_all(query.points_in_rig, &query.sensor_in_rig, pose, gate_m)
+        finder.find_all(pose, gate_m)
     })
 }
 

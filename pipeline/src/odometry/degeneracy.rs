@@ -1,7 +1,7 @@
 //! What a scan does not see is said, and counts for nothing in the covariance of its pose.
 
 use lsfb_geometry::{Matrix6, Se3, StampedPose, Vector3, Vector6};
-use lsfb_perception::lidar::{Direction, Registration, observability};
+use lsfb_perception::lidar::{Direction, Registration, ScanFinder, observability};
 use serde::{Deserialize, Serialize};
 
 use super::motion::{Motion, end_pose};
@@ -61,7 +61,8 @@ impl Odometry {
         let shift_m = 0.5 * self.config.finest_cell_m();
         let points = &reduced.keypoints;
         let seen = observability(points, found, &config, shift_m, |points, pose, gate_m| {
-            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+            let mut finder = ScanFinder::new(&self.map, points, &sensor_in_rig);
+            finder.find_planes(pose, gate_m)
         });
         let Some(seen) = seen else {
             return ScanInformation::default();

@@ -9,7 +9,7 @@
 //! the velocity at its start and that at which the scan is found agree. Without an IMU that is so of turn and velocity together.
 
 use lsfb_geometry::{StampedPose, Vector3, Vector6};
-use lsfb_perception::lidar::{Match, PosePrior, observability, register};
+use lsfb_perception::lidar::{PosePrior, ScanFinder, observability, register};
 use lsfb_types::{ImuSample, LidarScan, Stamped};
 
 use super::degeneracy::LEAST_SEEN_PER_M2;
@@ -274,16 +274,14 @@ impl Odometry {
         let config = self.config.registration(&self.lidar, MIN_GATE_M);
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
         let points = &reduced.keypoints;
-        let planes = |points: &[Vector3<f64>], pose: &lsfb_geometry::Se3, gate_m| {
-            let mut found = self.map.find_all(points, &sensor_in_rig, pose, gate_m);
-            for m in &mut found {
-                *m = m.filter(|m| matches!(m, Match::Plane(_)));
-            }
-            found
-        };
+        let mut finder = ScanFinder::new(&self.map, points, &sensor_in_rig);
         let found = register(points, &prior, &config, |pose, gate_m| {
-            planes(points, pose, gate_m)
+            finder.find_planes(pose, gate_m)
         });
+        let planes = |points: &[Vector3<f64>], pose: &lsfb_geometry::Se3, gate_m| {
+            let mut finder = ScanFinder::new(&self.map, points, &sensor_in_rig);
+            finder.find_planes(pose, gate_m)
+        };
         let shift_m = 0.5 * self.config.finest_cell_m();
         let Some(seen) = observability(points, &found, &config, shift_m, planes) else {
             return false;

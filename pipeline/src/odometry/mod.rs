@@ -31,8 +31,8 @@ use std::collections::VecDeque;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{
-    LocalMap, MotionKnot, PosePrior, Registration, RegistrationConfig, deskew, register,
-    voxel_downsample,
+    LocalMap, MotionKnot, PosePrior, Registration, RegistrationConfig, ScanFinder, deskew,
+    register, voxel_downsample,
 };
 use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
@@ -390,9 +390,9 @@ impl Odometry {
         let prior = self.prior(path);
         let config = self.registration(self.gate_m(path, &prior));
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        let mut finder = ScanFinder::new(&self.map, &reduced.keypoints, &sensor_in_rig);
         register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
-            let points = &reduced.keypoints;
-            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+            finder.find_all(pose, gate_m)
         })
     }
 

@@ -22,21 +22,26 @@ const MAX_NEIGHBOUR_CELLS: i64 = 4;
 /// Neighbours of a cell along one axis, the nearest first.
 const OUTWARDS: [i64; 2 * MAX_NEIGHBOUR_CELLS as usize + 1] = [0, -1, 1, -2, 2, -3, 3, -4, 4];
 
-/// The points of one surface in one cell.
+/// The points of one surface in one cell. What is asked of it first stands together at its begin, as memory comes in pieces: most surfaces are full, and
+/// take no more.
 #[derive(Clone, Debug, Default)]
+#[repr(C)]
 pub(super) struct Surface {
-    sums: PointSums,
+    /// Direction that tells its points from those of the other side.
+    facing: Vector3<f64>,
     /// Places it was seen from, the first and the last of them.
     places: u32,
     pub first_place: u32,
     last_place: u32,
-    /// Points added from that place.
+    /// Points added from that place, and in all.
     count_here: u32,
+    count: u32,
     /// Points at the last plane fit.
     fitted_count: u32,
+    plane: Option<Plane>,
     /// Sum of the unit directions towards the sensor.
     towards_sensor: Vector3<f64>,
-    plane: Option<Plane>,
+    sums: PointSums,
 }
 
 impl Surface {
@@ -45,15 +50,17 @@ impl Surface {
         self.plane.filter(|_| self.places >= min_places)
     }
 
-    /// Direction that tells its points from those of the other side.
-    fn facing(&self) -> Vector3<f64> {
-        self.plane.map_or(self.towards_sensor, |p| p.normal)
-    }
-
     fn add(&mut self, point: &Vector3<f64>, towards_sensor: &Vector3<f64>) {
         self.sums.add(point);
+        self.count += 1;
         self.count_here += 1;
         self.towards_sensor += towards_sensor;
+        self.face();
+    }
+
+    /// Without a plane it faces where it was seen from.
+    fn face(&mut self) {
+        self.facing = self.plane.map_or(self.towards_sensor, |p| p.normal);
     }
 
     fn enter(&mut self, place: u32) {
@@ -68,16 +75,15 @@ impl Surface {
     }
 
     fn is_full(&self) -> bool {
-        self.sums.count() >= MAX_POINTS_PER_SURFACE || self.count_here >= MAX_POINTS_PER_PLACE
+        self.count >= MAX_POINTS_PER_SURFACE || self.count_here >= MAX_POINTS_PER_PLACE
     }
 
     fn needs_fit(&self) -> bool {
-        let count = self.sums.count();
-        count >= MIN_POINTS_PER_PLANE && count * 10 >= self.fitted_count * 12
+        self.count >= MIN_POINTS_PER_PLANE && self.count * 10 >= self.fitted_count * 12
     }
 
     fn fit(&mut self, cell_size_m: f64, range_noise_m: f64) {
-        self.fitted_count = self.sums.count();
+        self.fitted_count = self.count;
         let limit_m = (1.5 * range_noise_m).hypot(0.02 * cell_size_m);
         let fitted = self.sums.plane().filter(|p| {
             // A line has no normal, and that of a patch narrower than its noise leans anywhere: walls would then hold the height.
@@ -93,6 +99,7 @@ impl Surface {
                 ..plane
             })
         });
+        self.face();
     }
 }
 
@@ -119,8 +126,27 @@ impl ScanPoint {
 
 /// Where the surfaces of a cell are: the first seen, and one that faces the other way.
 type Sides = [u32; 2];
+/// Points whose cells are looked up before they are taken in.
+const AHEAD: usize = 64;
 /// No surface.
-const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
+
+/// A cell, and the surfaces in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    key: u64,
+    sides: Sides,
+}
+
+impl Default for Cell {
+    /// None: keys have 63 bits.
+    fn default() -> Self {
+        Self {
+            key: u64::MAX,
+            sides: [NONE; 2],
+        }
+    }
+}
 
 /// The cells of one size.
 #[derive(Clone, Debug)]
@@ -160,36 +186,57 @@ impl Level {
     /// Of the sides of a cell the one seen from direction `towards_sensor`.
     fn side(&self, sides: &Sides, towards_sensor: &Vector3<f64>) -> usize {
         let first = self.surfaces.get(sides[0] as usize);
-        usize::from(first.is_some_and(|first| first.facing().dot(towards_sensor) < 0.0))
+        usize::from(first.is_some_and(|first| first.facing.dot(towards_sensor) < 0.0))
     }
 
     /// Takes in the points of a scan that was taken from a place.
     pub fn insert(&mut self, seen: &[ScanPoint], place: u32, range_noise_m: f64) {
-        let mut before = (None, [NONE; 2]);
-        for of in seen {
-            let key = self.key(&of.in_grid);
-            let (last_key, mut sides) = before;
+        let mut cells = [Cell::default(); AHEAD];
+        for seen in seen.chunks(AHEAD) {
+            self.go_ahead(seen, &mut cells);
+            for (of, cell) in seen.iter().zip(&cells) {
+                self.take_in(of, cell, place, range_noise_m);
+            }
+        }
+    }
+
+    /// Looks up the cells of points that are to be taken in: what takes long is waiting for memory, and so it is waited for many of them at once.
+    fn go_ahead(&self, seen: &[ScanPoint], cells: &mut [Cell; AHEAD]) {
+        let mut here = Cell::default();
+        let mut points = 0_u32;
+        for (of, cell) in seen.iter().zip(cells) {
             // Neighbours of a ring mostly lie in one cell.
-            if last_key != Some(key) {
-                sides = self.sides_of.get(&key).copied().unwrap_or([NONE; 2]);
-            }
-            let side = self.side(&sides, &of.towards_sensor);
-            if sides[side] == NONE {
-                sides[side] = self.new_surface();
-                self.sides_of.insert(key, sides);
-            }
-            before = (Some(key), sides);
-            let Some(surface) = self.surfaces.get_mut(sides[side] as usize) else {
-                continue;
-            };
-            surface.enter(place);
-            if surface.is_full() {
-                continue;
-            }
-            surface.add(&of.point, &of.towards_sensor);
-            if surface.needs_fit() {
-                surface.fit(self.size_m, range_noise_m);
-            }
+            self.enter(&of.in_grid, &mut here);
+            let first = self.surfaces.get(here.sides[0] as usize);
+            points = points.wrapping_add(first.map_or(0, |first| first.count));
+            *cell = here;
+        }
+        std::hint::black_box(points);
+    }
+
+    /// Takes in a point of a cell as it was a little before.
+    fn take_in(&mut self, of: &ScanPoint, cell: &Cell, place: u32, range_noise_m: f64) {
+        let Cell { key, mut sides } = *cell;
+        let mut side = self.side(&sides, &of.towards_sensor);
+        if sides[side] == NONE {
+            // Others of these points may have made it meanwhile.
+            sides = self.sides_of.get(&key).copied().unwrap_or([NONE; 2]);
+            side = self.side(&sides, &of.towards_sensor);
+        }
+        if sides[side] == NONE {
+            sides[side] = self.new_surface();
+            self.sides_of.insert(key, sides);
+        }
+        let Some(surface) = self.surfaces.get_mut(sides[side] as usize) else {
+            return;
+        };
+        surface.enter(place);
+        if surface.is_full() {
+            return;
+        }
+        surface.add(&of.point, &of.towards_sensor);
+        if surface.needs_fit() {
+            surface.fit(self.size_m, range_noise_m);
         }
     }
 
@@ -198,6 +245,21 @@ impl Level {
             self.surfaces.push(Surface::default());
             (self.surfaces.len() - 1) as u32
         })
+    }
+
+    /// Goes to the cell of a point, if it is not there.
+    pub fn enter(&self, in_grid: &Vector3<f64>, cell: &mut Cell) {
+        let key = self.key(in_grid);
+        if cell.key != key {
+            let sides = self.sides_of.get(&key).copied().unwrap_or([NONE; 2]);
+            *cell = Cell { key, sides };
+        }
+    }
+
+    /// The surface in a cell that is seen from a direction.
+    pub fn surface(&self, cell: &Cell, towards_sensor: &Vector3<f64>) -> Option<&Surface> {
+        let side = self.side(&cell.sides, towards_sensor);
+        self.surfaces.get(cell.sides[side] as usize)
     }
 
     /// The surface at a point that is seen from a direction: `None` without a cell there, and inside `None` where nothing in it was seen
@@ -212,14 +274,17 @@ impl Level {
         Some(self.surfaces.get(sides[side] as usize))
     }
 
-    /// The nearest mean of a cell's points, of its first side, nearer than `gate_m`.
+    /// The nearest mean of a cell's points, of its first side, nearer than `gate_m`. `near` is the surface that had the nearest mean where the point was before,
+    /// if there is one: it is the nearest still unless one is nearer, so that most cells need not be looked into. It becomes the one found.
     pub fn nearest_mean(
         &self,
         point: &Vector3<f64>,
         in_grid: &Vector3<f64>,
         gate_m: f64,
+        near: &mut u32,
     ) -> Option<Vector3<f64>> {
-        let reach = ((gate_m / self.size_m).ceil() as i64).clamp(1, MAX_NEIGHBOUR_CELLS);
+        let farthest = (gate_m / self.size_m).ceil() as i64;
+        let reach = farthest.clamp(1, MAX_NEIGHBOUR_CELLS);
         let around = OUTWARDS.get(..=2 * reach as usize)?;
         // As the key has it.
         let in_cells = in_grid * (1.0 / self.size_m);
@@ -236,6 +301,20 @@ impl Level {
         let key = self.key(in_grid);
         let mut squared = gate_m * gate_m;
         let mut best = None;
+        // Where all cells within the gate are looked into, that of the former mean is one of them.
+        let before = self.surfaces.get(*near as usize);
+        if let Some(surface) = before.filter(|_| farthest <= MAX_NEIGHBOUR_CELLS) {
+            let mean = surface.sums.mean();
+            let of_mean = (mean - point).norm_squared();
+            if of_mean < squared {
+                // Of two that are equally near the first counts, whichever that is.
+                squared = of_mean.next_up();
+                best = Some(mean);
+            }
+        }
+        if best.is_none() {
+            *near = NONE;
+        }
         for dx in around {
             let of_x = squared_gap(0, *dx);
             if of_x > squared {
@@ -251,7 +330,10 @@ impl Level {
                         continue;
                     }
                     let sides = self.sides_of.get(&neighbour_key(key, [*dx, *dy, *dz]));
-                    let Some(first) = sides.and_then(|s| self.surfaces.get(s[0] as usize)) else {
+                    let Some(sides) = sides else {
+                        continue;
+                    };
+                    let Some(first) = self.surfaces.get(sides[0] as usize) else {
                         continue;
                     };
                     let mean = first.sums.mean();
@@ -259,6 +341,7 @@ impl Level {
                     if of_mean < squared {
                         squared = of_mean;
                         best = Some(mean);
+                        *near = sides[0];
                     }
                 }
             }
@@ -351,7 +434,10 @@ mod tests {
                 let distance = |mean: &Vector3<f64>| (mean - from).norm();
                 let nearest = means.min_by(|a, b| distance(a).total_cmp(&distance(b)));
                 let expected = nearest.filter(|mean| distance(mean) < gate_m);
-                assert_eq!(level.nearest_mean(&from, &from, gate_m), expected);
+                assert_eq!(
+                    level.nearest_mean(&from, &from, gate_m, &mut NONE.clone()),
+                    expected
+                );
             }
         }
     }

@@ -8,7 +8,7 @@ use lsfb_geometry::{Se3, Vector3};
 use nalgebra::{Matrix3, Rotation3};
 use rayon::prelude::*;
 
-use super::level::{Level, seen_from};
+use super::level::{Level, NONE, seen_from};
 use super::plane_map::PlaneMap;
 use super::registration::Match;
 
@@ -28,9 +28,6 @@ pub struct LocalMapConfig {
 const MIN_PLACES: u32 = 3;
 /// Distance of the sensor between two places, metres.
 const MIN_PLACE_DISTANCE_M: f64 = 0.05;
-
-/// Points per task.
-const CHUNK: usize = 256;
 
 /// The map of the surroundings.
 #[derive(Clone, Debug)]
@@ -88,7 +85,17 @@ impl LocalMap {
         }
     }
 
-    fn min_places(&self) -> u32 {
+    /// Its cells, the largest first.
+    pub(super) fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+
+    pub(super) fn grid_from_world(&self) -> &Matrix3<f64> {
+        &self.grid_from_world
+    }
+
+    /// A plane is one if it was seen from so many places.
+    pub(super) fn min_places(&self) -> u32 {
         MIN_PLACES.min(self.places.div_ceil(2))
     }
 
@@ -142,28 +149,8 @@ impl LocalMap {
         }
         let finest = self.levels.last()?;
         finest
-            .nearest_mean(point, &in_grid, gate_m)
+            .nearest_mean(point, &in_grid, gate_m, &mut NONE.clone())
             .map(Match::Point)
-    }
-
-    /// What each point of a scan belongs to, seen from its sensor at a pose of the rig.
-    pub fn find_all(
-        &self,
-        points_in_rig: &[Vector3<f64>],
-        sensor_in_rig: &Vector3<f64>,
-        world_from_rig: &Se3,
-        gate_m: f64,
-    ) -> Vec<Option<Match>> {
-        let rotation = world_from_rig.rotation_matrix();
-        let sensor = *world_from_rig * *sensor_in_rig;
-        points_in_rig
-            .par_iter()
-            .with_min_len(CHUNK)
-            .map(|p| {
-                let in_world = rotation * p + world_from_rig.translation;
-                self.find(&in_world, &(sensor - in_world), gate_m)
-            })
-            .collect()
     }
 
     /// The place from which the newest scan was inserted: places are numbered from 1 in the order of the walk; 0 before the first.

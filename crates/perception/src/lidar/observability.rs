@@ -136,7 +136,7 @@ fn cost(
 mod tests {
     use lsfb_geometry::Matrix6;
 
-    use super::super::{LocalMap, LocalMapConfig, PosePrior, Weighting, register};
+    use super::super::{LocalMap, LocalMapConfig, PosePrior, ScanFinder, Weighting, register};
     use super::*;
 
     /// Points of the planes `y = ±2` and `z = −1.5` along x, no two scans at the same places, with a wall that ends them or without.
@@ -191,11 +191,12 @@ mod tests {
             information: Matrix6::identity(),
         };
         let sensor = Vector3::zeros();
+        let mut finder = ScanFinder::new(&map, &points, &sensor);
         let found = register(&points, &prior, &config, |pose, gate_m| {
-            map.find_all(&points, &sensor, pose, gate_m)
+            finder.find_all(pose, gate_m)
         });
         let seen = observability(&points, &found, &config, 0.125, |points, pose, gate_m| {
-            map.find_all(points, &sensor, pose, gate_m)
+            ScanFinder::new(&map, points, &sensor).find_planes(pose, gate_m)
         });
         seen.expect("points agree")
     }

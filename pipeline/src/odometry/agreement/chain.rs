@@ -5,9 +5,9 @@
 //! (half a metre in a second on stairs), so it does not count by itself: the scans must lie on each other much better as it has them than as the trajectory does.
 
 use lsfb_geometry::{Matrix6, Se3, Vector3};
-use lsfb_perception::lidar::{LocalMap, Match, PosePrior, register};
+use lsfb_perception::lidar::{LocalMap, Match, PosePrior, ScanFinder, register};
 
-use super::scans::{GATE_M, Scans, on_planes, seen_off_m};
+use super::scans::{GATE_M, Scans, seen_off_m};
 use crate::odometry::OdometryConfig;
 
 /// Farthest that a point is held against a surface where it is asked how scans lie on each other, metres.
@@ -48,17 +48,18 @@ impl Chain {
                 // Next to nothing: it holds what no plane does.
                 information: Matrix6::identity(),
             };
-            let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-                on_planes(&map, points, &sensor_in_rig, pose, gate_m)
-            };
+            let mut finder = ScanFinder::new(&map, &points, &sensor_in_rig);
             let found = register(&points, &prior, &settings, |pose, gate_m| {
-                planes(&points, pose, gate_m)
+                finder.find_planes(pose, gate_m)
             });
             if found.inlier_ratio < least_overlap {
                 return None;
             }
             if now == last {
                 let stated = scans.seen_from(first, last);
+                let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
+                    ScanFinder::new(&map, points, &sensor_in_rig).find_planes(pose, gate_m)
+                };
                 off_m = seen_off_m(&points, &stated, &found, &settings, config, planes);
             }
             map.insert(&points, &found.world_from_rig, &sensor_in_rig);
@@ -110,7 +111,7 @@ fn lie(scans: &Scans<'_>, config: &OdometryConfig, first: usize, poses: &[Se3]) 
         }
         for (at, pose) in placed(1 - half) {
             let points = scans.points(first + at)?;
-            let found = on_planes(&map, &points, &sensor_in_rig, pose, LIE_M);
+            let found = ScanFinder::new(&map, &points, &sensor_in_rig).find_planes(pose, LIE_M);
             let costs = points.iter().zip(found).map(|(point, found)| match found {
                 Some(Match::Plane(plane)) => {
                     let off_m = plane.normal.dot(&(*pose * *point - plane.point));

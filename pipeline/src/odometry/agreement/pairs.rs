@@ -6,12 +6,12 @@
 //! The walk is judged by its worst stretch, as half of one may be right.
 
 use lsfb_geometry::{Matrix6, Se3, Vector3};
-use lsfb_perception::lidar::{LocalMap, PosePrior, register};
+use lsfb_perception::lidar::{LocalMap, PosePrior, ScanFinder, register};
 use lsfb_perception::statistics::median;
 use rayon::prelude::*;
 
 use super::chain::Chain;
-use super::scans::{GATE_M, Scans, on_planes, seen_off_m};
+use super::scans::{GATE_M, Scans, seen_off_m};
 use crate::odometry::OdometryConfig;
 
 /// From the scan in the middle of the map to the one that is registered, seconds: at least and at most.
@@ -157,9 +157,6 @@ fn off_by_map(
             &sensor_in_rig,
         );
     }
-    let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
-        on_planes(&map, points, &sensor_in_rig, pose, gate_m)
-    };
     let stated = scans.seen_from(first, second);
     let prior = PosePrior {
         world_from_rig: stated,
@@ -167,9 +164,13 @@ fn off_by_map(
     };
     let settings = config.registration(lidar, GATE_M.min(config.initial_gate_m));
     let points = scans.points(second)?;
+    let mut finder = ScanFinder::new(&map, &points, &sensor_in_rig);
     let found = register(&points, &prior, &settings, |pose, gate_m| {
-        planes(&points, pose, gate_m)
+        finder.find_planes(pose, gate_m)
     });
+    let planes = |points: &[Vector3<f64>], pose: &Se3, gate_m: f64| {
+        ScanFinder::new(&map, points, &sensor_in_rig).find_planes(pose, gate_m)
+    };
     let off_m = seen_off_m(&points, &stated, &found, &settings, config, planes)?;
     (found.inlier_ratio > MIN_OVERLAP).then_some(off_m)
 }

@@ -1,7 +1,7 @@
 //! Scans of a walk, and how far one lies on planes from where it is said to be.
 
 use lsfb_geometry::{RigLidar, Se3, StampedPose, Vector3, Vector6};
-use lsfb_perception::lidar::{LocalMap, Match, Registration, RegistrationConfig, observability};
+use lsfb_perception::lidar::{Match, Registration, RegistrationConfig, observability};
 
 use crate::odometry::OdometryConfig;
 use crate::odometry::degeneracy::LEAST_SEEN_PER_M2;
@@ -29,21 +29,6 @@ impl Scans<'_> {
     pub(super) fn seen_from(&self, reference: usize, k: usize) -> Se3 {
         self.poses[reference].world_from_rig.inverse() * self.poses[k].world_from_rig
     }
-}
-
-/// What each point belongs to, planes alone.
-pub(super) fn on_planes(
-    map: &LocalMap,
-    points: &[Vector3<f64>],
-    sensor_in_rig: &Vector3<f64>,
-    pose: &Se3,
-    gate_m: f64,
-) -> Vec<Option<Match>> {
-    let mut found = map.find_all(points, sensor_in_rig, pose, gate_m);
-    for m in &mut found {
-        *m = m.filter(|m| matches!(m, Match::Plane(_)));
-    }
-    found
 }
 
 /// How far a scan was found from where it is said to be, along the directions that it sees, metres.

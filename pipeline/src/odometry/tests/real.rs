@@ -65,8 +65,9 @@ fn worst_of_pairs(
                 information: Matrix6::identity(),
             };
             let settings = odometry.registration(config.initial_gate_m);
+            let mut finder = ScanFinder::new(&map, &keypoints, &sensor);
             let found = register(&keypoints, &prior, &settings, |pose, gate_m| {
-                map.find_all(&keypoints, &sensor, pose, gate_m)
+                finder.find_all(pose, gate_m)
             });
             let error = expected.inverse() * found.world_from_rig;
             worst[0] = worst[0].max(error.translation.norm());

@@ -49,8 +49,9 @@ fn finds_the_pose_from_wrong_guesses_in_all_directions() {
                 world_from_rig: truth * Se3::exp(&offset),
                 information: Matrix6::identity(),
             };
+            let mut finder = ScanFinder::new(&map, &keypoints, &sensor_in_rig);
             let found = register(&keypoints, &prior, &config(), |pose, gate_m| {
-                map.find_all(&keypoints, &sensor_in_rig, pose, gate_m)
+                finder.find_all(pose, gate_m)
             });
             let error = (truth.inverse() * found.world_from_rig).log();
             assert!(error.fixed_rows::<3>(0).norm() < 0.004, "{offset} {error}");
@@ -72,8 +73,9 @@ fn without_a_map_the_prior_stands() {
         information: Matrix6::identity(),
     };
     let keypoints = vec![Vector3::new(1.0, 2.0, 3.0); 10];
+    let mut finder = ScanFinder::new(&map, &keypoints, &Vector3::zeros());
     let found = register(&keypoints, &prior, &config(), |pose, gate_m| {
-        map.find_all(&keypoints, &Vector3::zeros(), pose, gate_m)
+        finder.find_all(pose, gate_m)
     });
     assert_eq!(found.world_from_rig, prior.world_from_rig);
     assert_eq!(found.inlier_ratio, 0.0);
