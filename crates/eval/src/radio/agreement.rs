@@ -58,7 +58,7 @@ const AMONG: usize = 3;
 const FEWEST_COMPARED: usize = 3;
 /// So many of them in a row, or all of a walk with fewer, refuse it: five of a right walk in a mall had 0.17, six 0.28, eight 0.40.
 const STRETCH: usize = 8;
-/// So many are doubtful.
+/// So many are doubtful; of a walk with fewer than the eight, as few as judge one.
 const SHORT_STRETCH: usize = 5;
 /// So much more than the least share is usual in the mean.
 const USUAL_OF_LEAST: f64 = 1.4;
@@ -76,7 +76,7 @@ pub struct RadioAgreement {
     pub share: f64,
     /// The eight in a row, or all of fewer, that share the least; `None` where nothing was compared.
     pub worst: Option<RadioStretch>,
-    /// The five in a row that share the least; `None` of fewer.
+    /// The five in a row that share the least, the three where fewer than eight were compared; `None` of fewer.
     pub worst_short: Option<RadioStretch>,
     /// By how much weaker the walk heard what both heard, in the middle of the eight in a row where that is most, decibel; zero of none.
     pub weaker_db: f64,
@@ -218,6 +218,10 @@ pub fn radio_agreement(
         });
     }
     let long = STRETCH.min(compared.len()).max(1);
+    let short = match long {
+        STRETCH => SHORT_STRETCH,
+        _ => FEWEST_COMPARED,
+    };
     let weaker_db = compared
         .windows(long)
         .filter_map(|row| median(row.iter().flat_map(|c| c.weaker_db.clone()).collect()));
@@ -225,7 +229,7 @@ pub fn radio_agreement(
         unknown,
         share: mean_share(&compared),
         worst: worst(&compared, long),
-        worst_short: worst(&compared, SHORT_STRETCH),
+        worst_short: worst(&compared, short),
         weaker_db: weaker_db.max_by(f64::total_cmp).unwrap_or(0.0),
         compared: compared.len(),
         least_share: config.least_share,

@@ -95,6 +95,20 @@ fn a_stretch_on_another_floor_is_named() {
     assert_eq!(found.finding().verdict, Verdict::Warn);
 }
 
+/// Of a short walk the end lies elsewhere.
+#[test]
+fn a_short_walk_that_is_right_by_half_is_doubtful() {
+    let others = heard(1, "ground", 0.0);
+    let secs = |r: &PlacedReading| r.time.nanos() / 1_000_000_000 - 2000;
+    let mut walk = heard(2, "ground", 0.0);
+    walk.retain(|r| secs(r) < 6);
+    let above = heard(2, "first", 0.0).into_iter();
+    walk.extend(above.filter(|r| (6..12).contains(&secs(r))));
+    let found = agreement(&walk, &others);
+    assert_eq!(found.elsewhere(), None, "{found:?}");
+    assert_eq!(found.finding().verdict, Verdict::Warn, "{found:?}");
+}
+
 /// The table has the first third of the way.
 #[test]
 fn a_walk_that_is_mostly_where_nobody_listened_does_not_pass() {
