@@ -158,9 +158,9 @@ fn a_walk_is_told_from_one_on_another_floor_by_what_it_hears() {
         let above = agreement(&heard(place, seed, Device::Android, 1), &others);
         println!("{place:?} {seed}: here {here:?}, above {above:?}");
         assert!(
-            here.is_judged() && !here.contradicts(),
+            here.is_judged() && here.elsewhere().is_none(),
             "{place:?}: {here:?}"
         );
-        assert!(above.contradicts(), "{place:?}: {above:?}");
+        assert!(above.elsewhere().is_some(), "{place:?}: {above:?}");
     }
 }

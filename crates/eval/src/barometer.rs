@@ -1,6 +1,8 @@
 //! Whether a walk went up and down as its barometer says: where a stretch of it lies on another floor than it was, the pressure knows nothing of
 //! the step between them.
 
+use std::ops::Range;
+
 use lsfb_geometry::{Trajectory, Vector3};
 use lsfb_recording::{Recording, TopicSummary, message};
 use lsfb_types::{Finding, Limit, Timestamp, Verdict, median};
@@ -16,6 +18,8 @@ const SPAN_SECS: f64 = 1.0;
 const SPANS: usize = 10;
 /// Fewer do not.
 const FEWEST_SPANS: usize = 4;
+/// So many that all differ from both sides are doubtful; no more, as a gust or a hand that presses a tight phone lasts as long.
+const BRIEF_SPANS: usize = 2;
 /// Farther apart in time the weather and the building's ventilation may have changed, seconds.
 const LONGEST_GAP_SECS: f64 = 120.0;
 /// A door or a fan changes the pressure by some pascals; floors are three metres apart.
@@ -31,23 +35,38 @@ pub struct BarometerAgreement {
     pub largest_step_m: f64,
     /// When it is.
     pub at_ns: i64,
+    /// Largest difference of two or three seconds from what is before and behind them, metres.
+    pub largest_brief_m: f64,
+    /// When they begin.
+    pub brief_at_ns: i64,
 }
 
 impl BarometerAgreement {
     /// As every command says it.
     pub fn finding(&self) -> Finding {
-        let step_m = self.largest_step_m.abs();
+        let (step_m, brief_m) = (self.largest_step_m.abs(), self.largest_brief_m.abs());
+        let is_brief = step_m <= USUAL_M && brief_m > MOST_M;
+        let (off_m, at_ns) = match is_brief {
+            true => (brief_m, self.brief_at_ns),
+            false => (step_m, self.at_ns),
+        };
         let what = format!(
-            "over {:.0} s heights change as its pressure says to {step_m:.1} m, most at {}",
+            "over {:.0} s heights change as its pressure says to {off_m:.1} m, most {} {}",
             self.compared_secs,
-            Timestamp::from_nanos(self.at_ns)
+            if is_brief {
+                "for some seconds from"
+            } else {
+                "at"
+            },
+            Timestamp::from_nanos(at_ns)
         );
         let (verdict, most_m) = match step_m {
             m if m > MOST_M => (Verdict::Fail, MOST_M),
+            _ if is_brief => (Verdict::Warn, MOST_M),
             m => (Verdict::Warn.unless(m <= USUAL_M), USUAL_M),
         };
         Finding::new("barometer", verdict, "trajectory", what)
-            .value(step_m, "m")
+            .value(off_m, "m")
             .limit(Limit::AtMost(most_m))
             .remedy("look at the trajectory there: one side of it may be on another floor")
     }
@@ -86,7 +105,7 @@ pub fn barometer_agreement(
         return Ok(None);
     };
     let spans = spans(&pressures, trajectory, &up);
-    Ok(largest_step(&spans))
+    Ok(agreement(&spans))
 }
 
 fn spans(pressures: &[(Timestamp, f64)], trajectory: &Trajectory, up: &Vector3<f64>) -> Vec<Span> {
@@ -121,27 +140,68 @@ fn position_m(trajectory: &Trajectory, time: Timestamp) -> Option<Vector3<f64>> 
     Some(pose.translation)
 }
 
-fn largest_step(spans: &[Span]) -> Option<BarometerAgreement> {
-    let mut largest: Option<(f64, Timestamp)> = None;
-    for k in FEWEST_SPANS..=spans.len().saturating_sub(FEWEST_SPANS) {
-        let before = &spans[k.saturating_sub(SPANS)..k];
-        let behind = &spans[k..spans.len().min(k + SPANS)];
-        let is_near = |span: &&Span| span.time.secs_since(spans[k].time).abs() <= LONGEST_GAP_SECS;
-        let level_m = |side: &[Span]| {
-            let near: Vec<f64> = side.iter().filter(is_near).map(|s| s.above_m).collect();
-            (near.len() >= FEWEST_SPANS).then(|| median(near)).flatten()
-        };
-        if let (Some(before), Some(behind)) = (level_m(before), level_m(behind)) {
-            let step_m = behind - before;
-            if largest.is_none_or(|(most, _)| step_m.abs() > most.abs()) {
-                largest = Some((step_m, spans[k].time));
-            }
-        }
-    }
-    largest.map(|(largest_step_m, at)| BarometerAgreement {
-        compared_secs: SPAN_SECS * spans.len() as f64,
+/// The largest step between two sides of a moment, or of all of a few seconds in a row, which the medians of sides do not feel, from both of theirs.
+fn agreement(spans: &[Span]) -> Option<BarometerAgreement> {
+    let last = spans.len();
+    let steps = (FEWEST_SPANS..=last.saturating_sub(FEWEST_SPANS)).filter_map(|k| {
+        let (before, behind) = sides(spans, k..k);
+        Some((behind? - before?, spans.get(k)?.time))
+    });
+    let stretches = |count: usize| {
+        (0..(last + 1).saturating_sub(count)).filter_map(move |k| {
+            let (Some(before), Some(behind)) = sides(spans, k..k + count) else {
+                return None;
+            };
+            let inside = spans[k..k + count].iter().map(|span| span.above_m);
+            let off_m = inside
+                .flat_map(|above_m| [above_m - before, above_m - behind])
+                .reduce(nearer_zero)?;
+            Some((off_m, spans[k].time))
+        })
+    };
+    let (largest_step_m, at) = largest(steps.chain((FEWEST_SPANS..SPANS).flat_map(stretches)))?;
+    let brief = largest((BRIEF_SPANS..FEWEST_SPANS).flat_map(stretches));
+    let (largest_brief_m, brief_at) = brief.unwrap_or((0.0, at));
+    Some(BarometerAgreement {
+        compared_secs: SPAN_SECS * last as f64,
         largest_step_m,
         at_ns: at.nanos(),
+        largest_brief_m,
+        brief_at_ns: brief_at.nanos(),
+    })
+}
+
+/// Levels before and behind some spans, metres; `None` of a side with too few.
+fn sides(spans: &[Span], inside: Range<usize>) -> (Option<f64>, Option<f64>) {
+    let level_m = |side: &[Span], at: Option<&Span>| {
+        let at = at?.time;
+        let is_near = |span: &&Span| span.time.secs_since(at).abs() <= LONGEST_GAP_SECS;
+        let near: Vec<f64> = side.iter().filter(is_near).map(|s| s.above_m).collect();
+        (near.len() >= FEWEST_SPANS).then(|| median(near)).flatten()
+    };
+    let before = &spans[inside.start.saturating_sub(SPANS)..inside.start];
+    let behind = &spans[inside.end..spans.len().min(inside.end + SPANS)];
+    let last = inside.end.saturating_sub(1).max(inside.start);
+    (
+        level_m(before, spans.get(inside.start)),
+        level_m(behind, spans.get(last)),
+    )
+}
+
+/// Zero where one is up and the other down.
+fn nearer_zero(a: f64, b: f64) -> f64 {
+    match a.signum() == b.signum() {
+        true if a.abs() < b.abs() => a,
+        true => b,
+        false => 0.0,
+    }
+}
+
+fn largest(found: impl Iterator<Item = (f64, Timestamp)>) -> Option<(f64, Timestamp)> {
+    // Of equal ones the first.
+    found.reduce(|most, next| match next.0.abs() > most.0.abs() {
+        true => next,
+        false => most,
     })
 }
 
@@ -165,7 +225,7 @@ mod tests {
     }
 
     fn verdict(spans: &[Span]) -> Option<Verdict> {
-        largest_step(spans).map(|found| found.finding().verdict)
+        agreement(spans).map(|found| found.finding().verdict)
     }
 
     #[test]
@@ -175,9 +235,33 @@ mod tests {
         assert_eq!(verdict(&spans_of(0.0, 3.0)), Some(Verdict::Fail));
         assert_eq!(verdict(&spans_of(3.0, 0.0)), Some(Verdict::Fail));
         assert_eq!(verdict(&spans_of(0.0, 1.5)), Some(Verdict::Warn));
-        let found = largest_step(&spans_of(3.0, 0.0)).expect("enough");
+        let found = agreement(&spans_of(3.0, 0.0)).expect("enough");
         assert!((found.largest_step_m + 3.0).abs() < 0.3, "{found:?}");
         assert_eq!(found.at_ns, 30_000_000_000);
+    }
+
+    /// What lies a floor higher for some seconds differs from both sides, where their medians feel nothing; at an end they do.
+    #[test]
+    fn some_seconds_on_another_floor_are_seen() {
+        for (secs, begins, expected) in [
+            (2, 20, Verdict::Warn),
+            (3, 20, Verdict::Warn),
+            (4, 20, Verdict::Fail),
+            (5, 20, Verdict::Fail),
+            (3, 0, Verdict::Fail),
+            (3, 57, Verdict::Fail),
+        ] {
+            let mut spans = spans_of(3.0, 3.0);
+            for span in &mut spans[begins..begins + secs] {
+                span.above_m += 3.0;
+            }
+            let found = agreement(&spans).expect("enough");
+            assert_eq!(found.finding().verdict, expected, "{secs} {found:?}");
+        }
+        // A door that opens for a second.
+        let mut spans = spans_of(3.0, 3.0);
+        spans[20].above_m += 3.0;
+        assert_eq!(verdict(&spans), Some(Verdict::Pass));
     }
 
     #[test]

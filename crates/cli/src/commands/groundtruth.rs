@@ -10,7 +10,7 @@ use lsfb_pipeline::ground_truth::{
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
-use lsfb_types::{Judgement, Verdict};
+use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::covariance_file;
@@ -94,31 +94,26 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = job.compute(context, |result| {
         context.claim(result, &[&arguments.recording])
     })?;
-    let r = &found.report;
-    let findings = r
-        .findings()
-        .into_iter()
-        .chain(found.surroundings.findings());
-    let judgement = Judgement::new(findings.collect());
-    let kept = Kept {
-        report: r.clone(),
-        surroundings: found.surroundings.clone(),
-    };
-    context.print(&Judged::new(&judgement, "the trajectory", &kept), || {
-        let mut text = format!(
-            "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
-            arguments.out.display(),
-            found.trajectory.len(),
-            r.localized,
-            r.frames,
-            r.bridged,
-            r.map_errors.rms_px
-        );
-        for camera in judgement.findings().iter().filter(|f| f.code == "camera") {
-            text += &format!("  {}\n", camera.sentence());
-        }
-        text + &problem_lines(&judgement)
-    })?;
+    let r = &found.said.report;
+    let judgement = Judgement::new(found.said.findings());
+    context.print(
+        &Judged::new(&judgement, "the trajectory", &found.said),
+        || {
+            let mut text = format!(
+                "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
+                arguments.out.display(),
+                found.trajectory.len(),
+                r.localized,
+                r.frames,
+                r.bridged,
+                r.map_errors.rms_px
+            );
+            for camera in judgement.findings().iter().filter(|f| f.code == "camera") {
+                text += &format!("  {}\n", camera.sentence());
+            }
+            text + &problem_lines(&judgement)
+        },
+    )?;
     Ok(match (judgement.verdict(), r.is_whole()) {
         (Verdict::Fail, _) => Outcome::JudgementFailed,
         (_, false) => Outcome::DataLost,
@@ -129,18 +124,40 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 /// A trajectory that was written, and where it comes from.
 pub struct WrittenTrajectory {
     pub trajectory: Trajectory,
-    pub report: GroundTruthReport,
-    /// What the walk's barometer and radio say of it.
-    pub surroundings: Surroundings,
+    pub said: Said,
     pub provenance: Provenance,
 }
 
-/// What is kept beside a trajectory.
+/// What is said of a trajectory, and kept beside it.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+pub struct Said {
     #[serde(flatten)]
-    report: GroundTruthReport,
-    surroundings: Surroundings,
+    pub report: GroundTruthReport,
+    /// What the walk's barometer and radio say of it.
+    pub surroundings: Surroundings,
+}
+
+impl Said {
+    /// All that is to be judged.
+    pub fn findings(&self) -> Vec<Finding> {
+        let own = self.report.findings().into_iter();
+        own.chain(self.surroundings.findings()).collect()
+    }
+
+    /// Codes of what is not as it should be; of what forbids to use the trajectory with the verdict.
+    pub fn doubts(&self) -> Vec<String> {
+        let doubt = |finding: Finding| match finding.verdict {
+            Verdict::Warn => Some(finding.code.into_owned()),
+            Verdict::Fail => Some(format!("{} {}", finding.code, finding.verdict)),
+            Verdict::Unknown | Verdict::Pass => None,
+        };
+        self.findings().into_iter().filter_map(doubt).collect()
+    }
+
+    /// Whether the trajectory must not be used.
+    pub fn is_failed(&self) -> bool {
+        Judgement::new(self.findings()).verdict() == Verdict::Fail
+    }
 }
 
 /// A trajectory to be computed of a walk.
@@ -182,11 +199,10 @@ impl WalkJob<'_> {
         if let Some(table) = self.radio {
             provenance.add_input(table)?;
         }
-        if let Some(kept) = context.standing::<Kept>(&[self.out], &provenance) {
+        if let Some(said) = context.standing(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
-                report: kept.report,
-                surroundings: kept.surroundings,
+                said,
                 provenance,
             });
         }
@@ -198,7 +214,11 @@ impl WalkJob<'_> {
         let stages = context.kept_stages(self.out, &provenance)?;
         let found = ground_truth_in_stages(&walk, &hd_map, &config, &stages, &|p| context.show(p));
         let found = super::about(self.recording, stages.kept_if_stopped(found))?;
-        let surroundings = Surroundings::of(&walk, &found, others.as_deref())?;
+        let surroundings =
+            Surroundings::of(&walk, &found, others.as_deref()).or_else(|refused| {
+                stages.remove()?;
+                Err(refused)
+            })?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
         let poses = found.trajectory.poses().iter().zip(&found.covariances);
@@ -208,16 +228,15 @@ impl WalkJob<'_> {
         motion_file::write(&found, &motion)?;
         provenance.write(self.out)?;
         let beside = [covariances, cross_check, states, motion];
-        let kept = Kept {
+        let said = Said {
             report: found.report,
             surroundings,
         };
-        standing::finish(&[self.out], &beside, &provenance, &kept)?;
+        standing::finish(&[self.out], &beside, &provenance, &said)?;
         stages.remove()?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,
-            report: kept.report,
-            surroundings: kept.surroundings,
+            said,
             provenance,
         })
     }

@@ -33,7 +33,7 @@ impl Surroundings {
         let radio = others
             .map(|others| radio(walk, found, others))
             .transpose()?;
-        if let Some(radio) = radio.as_ref().filter(|radio| radio.contradicts()) {
+        if let Some(radio) = radio.as_ref().filter(|radio| radio.elsewhere().is_some()) {
             bail!(
                 "{}: the walk heard other Wi-Fi and Bluetooth than others did where its images and the map place it, so it was elsewhere, and \
                  nothing of it is given: {}",

@@ -55,19 +55,67 @@ fn a_walk_on_another_floor_heard_others_louder() {
     let mut walk = heard(2, "first", 0.0);
     walk.extend(through_the_slab);
     let found = agreement(&walk, &others);
-    assert!(found.contradicts(), "{found:?}");
+    assert!(found.elsewhere().is_some(), "{found:?}");
     assert_eq!(found.finding().verdict, Verdict::Fail);
     // Another building.
     let found = agreement(&heard(2, "elsewhere", 0.0), &others);
     assert_eq!(found.share, 0.0);
-    assert!(found.contradicts());
+    assert!(found.elsewhere().is_some());
 }
 
 /// A floor without transmitters of its own: the order of powers is the same, but no phone reads them so weak.
 #[test]
 fn a_walk_that_heard_everything_much_weaker_is_doubtful() {
     let found = agreement(&heard(2, "ground", 18.0), &heard(1, "ground", 0.0));
-    assert!(!found.contradicts(), "{found:?}");
+    assert_eq!(found.elsewhere(), None, "{found:?}");
+    assert_eq!(found.finding().verdict, Verdict::Warn);
+}
+
+/// Of a walk that is right but for ten or sixteen seconds on another floor most agrees.
+#[test]
+fn a_stretch_on_another_floor_is_named() {
+    let others = heard(1, "ground", 0.0);
+    let walk = |secs: std::ops::Range<i64>| -> Vec<PlacedReading> {
+        let is_above = |r: &PlacedReading| secs.contains(&(r.time.nanos() / 1_000_000_000 - 2000));
+        let mut walk = heard(2, "ground", 0.0);
+        walk.retain(|r| !is_above(r));
+        walk.extend(heard(2, "first", 0.0).into_iter().filter(is_above));
+        walk
+    };
+    let found = agreement(&walk(14..30), &others);
+    let elsewhere = found.elsewhere().expect("a stretch");
+    assert!(found.share > 0.5, "{found:?}");
+    assert_eq!(elsewhere.from_ns, 2_014_000_000_000);
+    assert_eq!(elsewhere.to_ns, 2_029_000_000_000);
+    let finding = found.finding();
+    assert_eq!(finding.verdict, Verdict::Fail);
+    assert!(finding.sentence().contains("from 2014.000"), "{finding:?}");
+    let found = agreement(&walk(14..24), &others);
+    assert_eq!(found.elsewhere(), None, "{found:?}");
+    assert_eq!(found.finding().verdict, Verdict::Warn);
+}
+
+/// Of a short walk the end lies elsewhere.
+#[test]
+fn a_short_walk_that_is_right_by_half_is_doubtful() {
+    let others = heard(1, "ground", 0.0);
+    let secs = |r: &PlacedReading| r.time.nanos() / 1_000_000_000 - 2000;
+    let mut walk = heard(2, "ground", 0.0);
+    walk.retain(|r| secs(r) < 6);
+    let above = heard(2, "first", 0.0).into_iter();
+    walk.extend(above.filter(|r| (6..12).contains(&secs(r))));
+    let found = agreement(&walk, &others);
+    assert_eq!(found.elsewhere(), None, "{found:?}");
+    assert_eq!(found.finding().verdict, Verdict::Warn, "{found:?}");
+}
+
+/// The table has the first third of the way.
+#[test]
+fn a_walk_that_is_mostly_where_nobody_listened_does_not_pass() {
+    let mut others = heard(1, "ground", 0.0);
+    others.retain(|r| r.position_m.x < 10.0);
+    let found = agreement(&heard(2, "ground", 0.0), &others);
+    assert!(found.is_judged() && found.unknown > found.compared);
     assert_eq!(found.finding().verdict, Verdict::Warn);
 }
 
@@ -80,7 +128,7 @@ fn where_nobody_listened_nothing_is_said() {
     let found = agreement(&heard(2, "ground", 0.0), &others);
     assert_eq!((found.compared, found.is_judged()), (0, false));
     assert_eq!(found.finding().verdict, Verdict::Unknown);
-    assert!(!found.contradicts());
+    assert_eq!(found.elsewhere(), None);
     assert_eq!(agreement(&[], &others).compared, 0);
 }
 

@@ -9,7 +9,7 @@ mod neighbours;
 mod placing;
 mod table;
 
-pub use agreement::{RadioAgreement, RadioAgreementConfig, radio_agreement};
+pub use agreement::{RadioAgreement, RadioAgreementConfig, RadioStretch, radio_agreement};
 pub use neighbours::{NeighbourConfig, NeighbourFigures, Reach, judge_neighbours};
 pub use placing::{KnownPlace, Placed, PlacedReading, PlacingConfig, RadioKind, place, waypoints};
 pub use table::{read_table, table};

@@ -171,13 +171,9 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
     match refusal(job.compute(context, |_| Ok(())), "ground truth")? {
         Err(why) => run.refused = Some(why),
         Ok(found) => {
-            let report = &found.report;
+            let report = &found.said.report;
             (run.frames, run.exported) = (report.frames, report.poses);
-            let codes = report
-                .warnings
-                .iter()
-                .map(|w| w.finding().code.into_owned());
-            run.warnings = codes.collect();
+            run.warnings = found.said.doubts();
             run.exported_wrong = match run.is_one_world && !run.walk.ends_with(OTHER_FLOOR) {
                 false => run.exported,
                 true => wrong_poses(walk, place, &estimate)?,

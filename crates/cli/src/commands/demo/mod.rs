@@ -12,6 +12,7 @@ use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
 use lsfb_sim::SimConfig;
+use lsfb_types::{Judgement, Verdict};
 use serde::Serialize;
 
 use super::groundtruth::WalkJob;
@@ -19,6 +20,7 @@ use super::map::MapJob;
 use super::models::ModelFolder;
 use crate::context::Context;
 use crate::existing::expect_free;
+use crate::judged::{Judged, problem_lines};
 use crate::memory::peak_rss_mb;
 use crate::outcome::Outcome;
 use crate::simulated::{self, Layout};
@@ -29,7 +31,8 @@ use crate::twin_truth::{judge_scan, judge_walk};
 ///
 /// A simulated backpack scans a furnished room and a corridor; simulated glasses walk through them later. The devices send
 /// real bytes to the recorder, and every later stage reads the recordings only. The same seed gives the same trajectories
-/// and map. An interrupted demo continues after its last finished stage.
+/// and map. An interrupted demo continues after its last finished stage. Where `lsfb map` or `lsfb groundtruth` would say that the result must not
+/// be used, the exit code is 4.
 ///
 /// Examples:
 ///   lsfb demo --out demo-out --seed 7
@@ -153,7 +156,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
         watch.lap("viewer file");
     }
-    let localized = &walk.report;
+    let localized = &walk.said.report;
+    let mut findings = map.report.findings();
+    findings.extend(walk.said.findings());
+    let judgement = Judgement::new(findings);
     let summary = Summary {
         seed: sim_config.seed,
         ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
@@ -171,11 +177,18 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages_s: watch.stages,
         outputs: files,
     };
-    page::report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
+    let findings = judgement.findings();
+    let page = page::report(&summary, &judged, &map, &walk, findings, &sim_config)?;
+    page.write(&summary.outputs.report)?;
     // Last of all: a folder that has it is finished.
     super::write(&layout.file(FINISHED), serde_json::to_vec_pretty(&summary)?)?;
-    context.print(&summary, || text(&summary))?;
-    Ok(outcome(summary.lost, summary.left_out))
+    context.print(&Judged::new(&judgement, "the demo", &summary), || {
+        format!("{}\n{}", text(&summary), problem_lines(&judgement))
+    })?;
+    Ok(match judgement.verdict() {
+        Verdict::Fail => Outcome::JudgementFailed,
+        _ => outcome(summary.lost, summary.left_out),
+    })
 }
 
 /// Settings of the demo that a folder belongs to.
@@ -285,7 +298,7 @@ fn outputs(layout: &Layout) -> Outputs {
     }
 }
 
-struct Judged {
+struct Errors {
     scanner: Evaluation,
     glasses: Evaluation,
     glasses_in_map: Evaluation,
@@ -295,7 +308,7 @@ struct Judged {
     truth_from_map: Se3,
 }
 
-fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
+fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Errors> {
     let truth = |name: &str| layout.truth().join(name);
     let scan = judge_scan(&truth("truth_scan.tum"), &files.scan_trajectory)?;
     let walk = judge_walk(
@@ -303,7 +316,7 @@ fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
         &files.walk_trajectory,
         scan.truth_from_map,
     )?;
-    Ok(Judged {
+    Ok(Errors {
         scanner: scan.evaluation,
         glasses: walk.own,
         glasses_in_map: walk.in_map,

@@ -3,11 +3,11 @@
 use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
 use lsfb_pipeline::ground_truth::ReprojectionErrors;
 use lsfb_sim::SimConfig;
-use lsfb_types::Limit;
+use lsfb_types::{Finding, Limit};
 
 use super::super::groundtruth::WrittenTrajectory;
 use super::super::map::WrittenMap;
-use super::{Judged, Summary};
+use super::{Errors, Summary};
 
 /// Limits of the first figures: they make the report's verdict.
 const MAX_ATE_M: f64 = 0.03;
@@ -16,14 +16,13 @@ const MAX_REPROJECTION_PX: f64 = 1.5;
 /// The page of a demo that went through.
 pub(super) fn report(
     summary: &Summary,
-    judged: &Judged,
+    judged: &Errors,
     map: &WrittenMap,
     walk: &WrittenTrajectory,
+    findings: &[Finding],
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
-    let (mapping, walk_report) = (&map.report, &walk.report);
-    let of_mapping = mapping.findings().into_iter();
-    let findings = of_mapping.chain(walk_report.findings());
+    let (mapping, walk_report) = (&map.report, &walk.said.report);
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),
@@ -92,7 +91,7 @@ pub(super) fn report(
                 wall_secs: *wall_secs,
             })
             .collect(),
-        findings: findings.collect(),
+        findings: findings.to_vec(),
         provenance: provenance(summary, map, walk, sim_config)?,
         ..Report::default()
     })

@@ -35,7 +35,7 @@ fn errors(runs: &[Run]) -> Markup {
                 th { "run" } th { "motion" } th { "off path, m" } th { "scanner ATE, cm" } th { "drift, %" }
                 th { "reprojection, px" } th { "localized, %" } th { "and right, %" } th { "ATE rms, cm" }
                 th { "ATE max, cm" } th { "in the map, cm" } th { "jitter, mm" } th { "exported" } th { "wrong" }
-                th { "left out, s" } th { "refused" }
+                th { "left out, s" } th { "said of it" } th { "refused" }
             } }
             tbody {
                 @for run in runs {
@@ -55,6 +55,7 @@ fn errors(runs: &[Run]) -> Markup {
                         td { (run.exported) }
                         td { (run.exported_wrong) }
                         td { (format!("{:.1}", run.dropped_s)) }
+                        td.words { (run.doubts.join(", ")) }
                         td.words { (run.refused.as_deref().unwrap_or_default()) }
                     }
                 }

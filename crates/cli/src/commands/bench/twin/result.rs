@@ -45,6 +45,10 @@ pub struct Run {
     pub dropped_s: f64,
     /// Why there is no trajectory.
     pub refused: Option<String>,
+    /// What `lsfb groundtruth` says is not as it should be.
+    pub doubts: Vec<String>,
+    /// Whether it says that the trajectory must not be used.
+    pub failed: bool,
     /// Median horizontal distance of the walk from the scanner's path.
     pub off_path_m: Option<f64>,
     /// Which rigs the estimators were given.
@@ -80,6 +84,8 @@ impl Run {
             exported_wrong: 0,
             dropped_s: 0.0,
             refused: None,
+            doubts: Vec::new(),
+            failed: false,
             off_path_m: None,
             rigs,
             rigs_off: Vec::new(),
@@ -122,6 +128,10 @@ impl Run {
                 .value(self.exported_wrong as f64, "")
                 .limit(Limit::AtMost(0.0)),
         );
+        if self.failed {
+            let what = format!("not to be used: {}", self.doubts.join(", "));
+            findings.push(Finding::new("judgement", Verdict::Warn, self.name(), what));
+        }
         findings
     }
 }
@@ -179,6 +189,9 @@ pub fn table(runs: &[Run]) -> String {
         if let Some(why) = &run.refused {
             let _ = write!(text, "\n  refused: {why}");
         }
+        if !run.doubts.is_empty() {
+            let _ = write!(text, "\n  {}", run.doubts.join(", "));
+        }
     }
     text
 }
@@ -216,6 +229,13 @@ mod tests {
     fn one_wrong_pose_fails_the_trial_and_a_refusal_does_not() {
         let verdict = |runs: &[Run]| judge(runs).verdict();
         assert_eq!(verdict(&[run(0, None)]), Verdict::Pass);
+        assert_eq!(
+            verdict(&[Run {
+                failed: true,
+                ..run(0, None)
+            }]),
+            Verdict::Warn
+        );
         assert_eq!(
             verdict(&[run(0, None), run(0, Some("no map"))]),
             Verdict::Warn

@@ -169,7 +169,8 @@ impl Session<'_> {
         match refusal(found, TRUTH)? {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
             Ok(found) => {
-                let report = &found.report;
+                let report = &found.said.report;
+                (run.doubts, run.failed) = (found.said.doubts(), found.said.is_failed());
                 let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;
                 run.ate_rms_m = Some(judged.own.ate_translation_m.rmse);
                 run.ate_max_m = Some(judged.own.ate_translation_m.max);
