@@ -123,14 +123,35 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
         std::fs::remove_dir_all(root.join(folder)).expect("folder");
     }
     let map = "map scan.mcap --out map --out-trajectory scan.tum --threads 1";
-    let truth = "groundtruth walk.mcap --map map --out walk.tum --threads 1";
-    for command in [map, truth] {
-        json(&alone, &command.split(' ').collect::<Vec<_>>(), 0);
-    }
+    json(&alone, &map.split(' ').collect::<Vec<_>>(), 0);
+    somebody_heard_the_same(&alone, &expected["walk.tum"]);
+    let truth = "groundtruth walk.mcap --map map --radio radio.csv --out walk.tum --threads 1";
+    let found = json(&alone, &truth.split(' ').collect::<Vec<_>>(), 0);
+    let findings = found["findings"].as_array().expect("findings");
+    let radio = findings.iter().find(|f| f["code"] == "radio");
+    assert_eq!(radio.expect("compared")["verdict"], "pass", "{found}");
     assert_same(&expected, &results(&alone));
     the_bag_of_a_walk_has_its_motion(&alone);
     what_is_left_out_is_said(&alone);
     a_walk_sent_by_a_phone_is_worth_as_much(&alone, &root.join("truth/truth_walk.tum"));
+}
+
+/// A table of what the walk heard on its trajectory, an hour later.
+fn somebody_heard_the_same(folder: &Path, trajectory: &[u8]) {
+    std::fs::write(folder.join("others.tum"), trajectory).expect("trajectory");
+    let table = "dataset radio walk.mcap --trajectory others.tum --out radio.csv";
+    json(folder, &table.split(' ').collect::<Vec<_>>(), 0);
+    let path = folder.join("radio.csv");
+    let table = std::fs::read_to_string(&path).expect("table");
+    let later = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if let Ok(time_ns) = cells[1].parse::<i64>() {
+            cells[1] = (time_ns + 3_600_000_000_000).to_string();
+        }
+        cells.join(",") + "\n"
+    };
+    let later: String = table.lines().map(later).collect();
+    std::fs::write(path, later).expect("table");
 }
 
 /// From the phone to the ground truth: played through the protocol, with cut connections and damaged messages, recorded by a rig,
