@@ -18,6 +18,10 @@ pub struct OdometryReport {
     /// Lost scans behind the last registered one: the trajectory ends before them.
     #[serde(default)]
     pub lost_at_end: u64,
+    /// Where no scan has a pose for more than a second and a half, and five times as long as scans are usually apart: from and until when, seconds after the
+    /// first. The IMU alone has the motion there.
+    #[serde(default)]
+    pub gaps: Vec<[f64; 2]>,
     /// Stretches in which scans do not see all of the motion.
     #[serde(default)]
     pub unseen: Vec<UnseenStretch>,
@@ -67,9 +71,9 @@ impl OdometryReport {
             .then_some(OdometryWarning::LittleAgreement { share })
     }
 
-    /// Whether nothing is left out: every message was read, every scan found its place, and the place of the last is known.
+    /// Whether nothing is left out: every message was read, every scan found its place, none stayed away for long, and the place of the last is known.
     pub fn is_whole(&self) -> bool {
-        self.has_all_data() && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+        self.has_all_data() && self.gaps.is_empty() && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
     }
 
     /// Whether every message was read and every scan found its place.
@@ -107,6 +111,9 @@ impl OdometryReport {
             let scans = self.lost_at_end;
             self.warnings.push(OdometryWarning::LostAtEnd { scans });
         }
+        let gaps = self.gaps.iter();
+        self.warnings
+            .extend(gaps.map(|&[from_s, to_s]| OdometryWarning::LidarGap { from_s, to_s }));
         let unseen = self.unseen.iter().cloned();
         self.warnings
             .extend(unseen.map(|stretch| OdometryWarning::Unseen { stretch }));

@@ -22,6 +22,13 @@ pub enum OdometryWarning {
         /// Scans behind the last pose.
         scans: u64,
     },
+    /// For much longer than scans are usually apart there is none with a pose.
+    LidarGap {
+        /// The last before and the first behind it, seconds after the first scan of all.
+        from_s: f64,
+        /// See `from_s`.
+        to_s: f64,
+    },
     /// The recording ends within a scan, of which too little is there to find its place.
     Piece {
         /// How much of it is there, by its time.
@@ -164,6 +171,12 @@ impl OdometryWarning {
             Self::LostAtEnd { scans } => (
                 "lost-at-end",
                 format!("the last {scans} scans are lost: the trajectory ends before them"),
+            ),
+            Self::LidarGap { from_s, to_s } => (
+                "lidar-gap",
+                format!(
+                    "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion is the IMU's alone: no poses are written there, and what is behind may be off by what the IMU drifted"
+                ),
             ),
             Self::Piece { share } => (
                 "last-piece",

@@ -21,8 +21,8 @@ use crate::outcome::Outcome;
 ///
 /// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
 /// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
-/// Scans that could not be registered have no pose. Exit code 3 where packets or messages are missing or cannot be read, where scans have
-/// no pose, or where the place of the last is not known to a metre; 4 where IMU and scans contradict each other (axes, clock, unit, where
+/// Scans that could not be registered have no pose, and where none has one for a second and a half nothing is written (`lidar-gap`). Exit code 3
+/// where packets or messages are missing or cannot be read, where scans have no pose, where there is such a gap, or where the place of the last is not known to a metre; 4 where IMU and scans contradict each other (axes, clock, unit, where
 /// the LiDAR is on the IMU): the trajectory is written, and is wrong.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has the pose of each scan with its covariance relative to the first, as `lsfb eval
@@ -260,7 +260,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut found = run_on(&choice, &config, context)?;
     let loops = close(arguments, &config, &mut found.result, context)?;
     context.check_stop()?;
-    write_tum(&arguments.out, &found.result.trajectory)?;
+    write_tum(&arguments.out, &found.result.trajectory_outside_gaps())?;
     let scan_poses = found.result.scan_poses.iter();
     let scan_poses = scan_poses.map(|scan| (&scan.pose, &scan.covariance));
     let mut says = WHAT_IS_IN_IT.to_owned();

@@ -9,6 +9,11 @@ use crate::odometry::report::OdometryReport;
 use crate::odometry::unseen::UnseenStretches;
 use crate::odometry::{InertialState, MotionKind, OdometryStep, OdometryWarning, StepOutcome};
 
+/// Without a scan for longer there is a gap, seconds: one second an IMU bridges to a centimetre or two; five were 18 cm.
+const GAP_S: f64 = 1.5;
+/// And for longer than so many scans are usually apart.
+const GAP_INTERVALS: f64 = 5.0;
+
 /// What has come together so far.
 #[derive(Default)]
 pub(super) struct Found {
@@ -138,6 +143,9 @@ impl Found {
             report.gyro_bias_rad_s = Some(state.gyro_bias_rad_s.into());
             report.accel_bias_m_s2 = Some(state.accel_bias_m_s2.into());
         }
+        report.scan_interval_s = usual_interval_s(&scan_poses);
+        let longest_s = GAP_S.max(GAP_INTERVALS * report.scan_interval_s);
+        report.gaps = gaps(&scan_poses, longest_s);
         let trajectory = Trajectory::new(poses);
         let measured = self.measured.max(1) as f64;
         report.path_length_m = trajectory.path_length_m();
@@ -145,7 +153,6 @@ impl Found {
         report.plane_rms_m = (self.plane_squares / measured).sqrt();
         report.unseen = self.unseen.finish(&level);
         report.sigma_at_end_m = scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
-        report.scan_interval_s = usual_interval_s(&scan_poses);
         report.add_warnings();
         OdometryResult {
             trajectory,
@@ -155,6 +162,18 @@ impl Found {
             report,
         }
     }
+}
+
+/// Where no scan has a pose for longer: from and until when, seconds after the first scan.
+fn gaps(scan_poses: &[ScanPose], longest_s: f64) -> Vec<[f64; 2]> {
+    let Some(start) = scan_poses.first().map(|scan| scan.pose.time) else {
+        return Vec::new();
+    };
+    let pairs = scan_poses.windows(2);
+    let spans = pairs.map(|pair| [0, 1].map(|k| pair[k].pose.time.secs_since(start)));
+    spans
+        .filter(|[from_s, to_s]| to_s - from_s > longest_s)
+        .collect()
 }
 
 /// Gravity is known best at the end of the walk; the whole walk is turned level with it.
@@ -240,6 +259,42 @@ mod tests {
         assert!(sentence.contains("the last 1 scans are lost"), "{sentence}");
     }
 
+    /// Naively the IMU's path through seconds without scans was written like any other, with exit 0 (18 cm off after five of them).
+    #[test]
+    fn seconds_without_scans_are_no_poses() {
+        use StepOutcome::{First, Registered};
+        let mut run = Found::default();
+        for tenths in [10, 11, 12, 20, 21, 60, 61] {
+            let outcome = if tenths == 10 { First } else { Registered };
+            let mut step = step(tenths, outcome).expect("a step");
+            if tenths == 60 {
+                let end = step.poses[1];
+                let at = |k: i64| StampedPose {
+                    time: Timestamp::from_nanos(k * 100_000_000),
+                    ..end
+                };
+                step.poses = (22..=60).map(at).collect();
+            }
+            run.take(Ok(step)).expect("taken");
+        }
+        let result = run.finish(None, &lidar());
+        let told = result.trajectory_outside_gaps();
+        let times = told.poses().iter().map(|p| p.time.nanos());
+        let in_gap = times.filter(|t| (2_100_000_001..6_000_000_000).contains(t));
+        assert_eq!(in_gap.count(), 0);
+        let all = told.poses();
+        assert!(all.iter().any(|p| p.time.nanos() == 6_000_000_000));
+        // Eight tenths of a second are bridged.
+        assert!(all.iter().any(|p| p.time.nanos() == 1_950_000_000));
+        let report = &result.report;
+        assert_eq!(report.gaps.len(), 1);
+        let [from_s, to_s] = report.gaps[0];
+        assert!((from_s - 1.1).abs() < 1e-9 && (to_s - 5.0).abs() < 1e-9);
+        assert!(!report.is_whole() && report.lost == 0);
+        let codes: Vec<_> = report.warnings.iter().map(|w| w.finding().code).collect();
+        assert_eq!(codes, ["lidar-gap"]);
+    }
+
     #[test]
     fn scans_that_are_seconds_apart_are_said_to_be() {
         use StepOutcome::{First, Registered};
@@ -254,7 +309,8 @@ mod tests {
             let report = run.finish(None, &lidar()).report;
             let is_it = |w: &OdometryWarning| matches!(w, OdometryWarning::RareScans { .. });
             assert_eq!(report.warnings.iter().any(is_it), said, "{report:?}");
-            assert!(report.is_whole());
+            // Where scans come often, five seconds without one are a gap.
+            assert_eq!(report.is_whole(), said);
         }
     }
 }

@@ -77,6 +77,28 @@ impl OdometryResult {
         })
     }
 
+    /// The trajectory without what the IMU alone has of gaps between scans: it may be decimetres off, and nothing tells. Whoever has images of them may go on from it.
+    pub fn trajectory_outside_gaps(&self) -> Trajectory {
+        let gaps = &self.report.gaps;
+        let Some(start) = self.scan_poses.first().map(|scan| scan.pose.time) else {
+            return self.trajectory.clone();
+        };
+        let is_told = |pose: &&StampedPose| {
+            let at_s = pose.time.secs_since(start);
+            !gaps
+                .iter()
+                .any(|[from_s, to_s]| *from_s < at_s && at_s < *to_s)
+        };
+        Trajectory::new(
+            self.trajectory
+                .poses()
+                .iter()
+                .filter(is_told)
+                .copied()
+                .collect(),
+        )
+    }
+
     /// Says in the report what follows from poses that were changed.
     pub(crate) fn summarise(&mut self) {
         self.report.path_length_m = self.trajectory.path_length_m();
