@@ -35,13 +35,19 @@ pub(crate) fn gyro(recording: &Recording) -> Result<Option<IntegratedGyro>, Erro
     Ok((rates.len() > 2).then(|| IntegratedGyro::new(rates)))
 }
 
-/// The rig's cameras that a recording has, by name.
-pub(crate) fn cameras<'a>(recording: &Recording, rig: &'a Rig) -> Vec<(&'a str, &'a RigCamera)> {
-    rig.cameras
-        .iter()
-        .filter(|(name, _)| recording.images(name).is_ok())
-        .map(|(name, camera)| (name.as_str(), camera))
-        .collect()
+/// The rig's cameras that a recording has, by name, and why it has not the others.
+pub(crate) type Cameras<'a> = (Vec<(&'a str, &'a RigCamera)>, Vec<(&'a str, String)>);
+
+/// The rig's cameras in a recording.
+pub(crate) fn cameras<'a>(recording: &Recording, rig: &'a Rig) -> Cameras<'a> {
+    let (mut present, mut absent) = (Vec::new(), Vec::new());
+    for (name, camera) in &rig.cameras {
+        match recording.images(name) {
+            Ok(_) => present.push((name.as_str(), camera)),
+            Err(error) => absent.push((name.as_str(), error.to_string())),
+        }
+    }
+    (present, absent)
 }
 
 /// An error where an image is not of the size that the rig's lens is for.

@@ -4,6 +4,8 @@ use lsfb_types::Timestamp;
 
 /// A network puts messages in another order by less than this, seconds.
 const LATE_SECS: f64 = 0.1;
+/// More stamps than this share that equal the one before are no accident: a driver gives several samples the time at which they arrived together.
+const MOST_STANDING: f64 = 0.05;
 
 /// The times of one device, in the order in which they came.
 #[derive(Clone, Copy, Debug, Default)]
@@ -42,6 +44,12 @@ impl Order {
             return Some("are all the same".to_owned());
         }
         let times = match self.jumps {
+            0 if self.standing as f64 > MOST_STANDING * self.stamps as f64 => {
+                return Some(format!(
+                    "repeat the one before {} times of {}: several were given one time",
+                    self.standing, self.stamps
+                ));
+            }
             0 => return None,
             1 => "once".to_owned(),
             jumps => format!("{jumps} times"),
@@ -74,5 +82,15 @@ mod tests {
         let again = problem(&[5_000, 2_000, 5_000, 2_000]);
         assert_eq!(again.as_deref(), Some("go back 2 times, by up to 3.0 s"));
         assert!(problem(&[7, 7, 7]).is_some());
+        // Four samples of a batch with one stamp; and one message that came twice.
+        let batches: Vec<i64> = (0..100).map(|k| 20 * (k / 4)).collect();
+        let repeated = problem(&batches).expect("noticed");
+        assert!(
+            repeated.starts_with("repeat the one before 75 times of 100"),
+            "{repeated}"
+        );
+        let mut once: Vec<i64> = (0..100).collect();
+        once[50] = 49;
+        assert_eq!(problem(&once), None);
     }
 }

@@ -10,6 +10,8 @@ use crate::{Error, JoinProblem, PoorMotion};
 
 /// Motion before the first and after the last view, seconds.
 pub(super) const MARGIN_S: f64 = 0.1;
+/// Share of the samples that may have the stamp of another one: a message that came twice.
+const MOST_REPEATED: f64 = 0.01;
 /// Share of a segment of the motion that samples must cover for its last control point to be known.
 const LEAST_OF_SEGMENT: f64 = 0.1;
 
@@ -37,7 +39,12 @@ pub(super) fn samples_of(
             })
         })
     });
+    let all = imu.len();
     imu.dedup_by_key(|s| s.0);
+    let repeated = all - imu.len();
+    if repeated as f64 > MOST_REPEATED * all as f64 {
+        return Err(not_joined(JoinProblem::RepeatedStamps { repeated, all }));
+    }
     let Some(first) = imu.first() else {
         return Err(not_joined(JoinProblem::NoSample));
     };

@@ -99,6 +99,16 @@ pub enum JoinProblem {
         /// Since the first sample.
         time_s: f64,
     },
+    /// Samples of the IMU share their stamps.
+    #[error(
+        "{repeated} of {all} IMU samples have the stamp of another one: several were given one time, and when each was measured is not known; have the driver stamp each sample"
+    )]
+    RepeatedStamps {
+        /// Samples with the stamp of an earlier one.
+        repeated: usize,
+        /// Of all.
+        all: usize,
+    },
     /// The IMU measured while the camera saw nothing.
     #[error(
         "{samples} of the samples from {length_s:.1} s lie within {within_s} s of a view, {needed} are needed: check the clocks"

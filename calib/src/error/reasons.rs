@@ -254,6 +254,16 @@ pub enum NoRest {
         /// With those that are there.
         all: f64,
     },
+    /// Samples share their stamps.
+    #[error(
+        "{repeated} of {all} samples have the stamp of another one: several were given one time, and when each was measured is not known; have the driver stamp each sample"
+    )]
+    Repeated {
+        /// Samples with the stamp of an earlier one.
+        repeated: usize,
+        /// Of all.
+        all: usize,
+    },
     /// It was moved.
     #[error(
         "it moves {after_s:.0} s after its start: put it on solid ground, away from steps and fans, and record again"

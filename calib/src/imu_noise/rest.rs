@@ -28,7 +28,12 @@ impl Log {
     pub fn new(imu: &[(Timestamp, ImuSample)], config: &ImuNoiseConfig) -> Result<Self, Error> {
         let mut imu: Vec<&(Timestamp, ImuSample)> = imu.iter().collect();
         imu.sort_by_key(|s| s.0);
+        let all = imu.len();
         imu.dedup_by_key(|s| s.0);
+        let repeated = all - imu.len();
+        if repeated as f64 > MOST_MISSING * all as f64 {
+            return Err(NoRest::Repeated { repeated, all }.into());
+        }
         let (Some(first), Some(last)) = (imu.first(), imu.last()) else {
             return Err(NoRest::NoSample.into());
         };

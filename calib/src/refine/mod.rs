@@ -91,7 +91,7 @@ pub fn refine(
     let Some(lidar) = rig.lidar() else {
         return Err(unknown(JoinProblem::NoLidar));
     };
-    let present = recorded::cameras(recording, rig);
+    let (present, missing) = recorded::cameras(recording, rig);
     if present.is_empty() {
         return Err(unknown(JoinProblem::NoCamera));
     }
@@ -132,5 +132,10 @@ pub fn refine(
         };
         cameras.push(one.refined(recording, progress)?);
     }
-    Ok(RefinementReport { cameras })
+    let missing = missing.into_iter();
+    let missing = missing.map(|(name, why)| (name.to_owned(), why));
+    Ok(RefinementReport {
+        cameras,
+        missing: missing.collect(),
+    })
 }

@@ -115,6 +115,8 @@ pub struct Refinement {
 pub struct RefinementReport {
     /// By name.
     pub cameras: Vec<Refinement>,
+    /// The rig's cameras that the recording has no images of, and why.
+    pub missing: Vec<(String, String)>,
 }
 
 impl Component {
@@ -280,7 +282,11 @@ impl RefinementReport {
 
     /// Whether the result may be used, and how far.
     pub fn judgement(&self) -> Judgement {
+        let missing = self.missing.iter().map(|(camera, why)| {
+            let what = format!("the rig has this camera, and nothing is said of it: {why}");
+            Finding::new("camera-missing", Verdict::Warn, camera, what)
+        });
         let findings = self.cameras.iter().flat_map(Refinement::findings);
-        Judgement::new(findings.collect())
+        Judgement::new(findings.chain(missing).collect())
     }
 }

@@ -17,6 +17,8 @@ const AT_ONCE: usize = 32;
 /// gyroscope's, and corners are still found; and at most so far.
 const APART_S: f64 = 0.09;
 const MOST_APART_S: f64 = 0.35;
+/// Images that are looked at come from so many parts of the recording, as far from each other as can be: clocks drift, and mounts are knocked, on the way.
+pub(super) const PARTS: usize = 5;
 /// An image of a scan's time is at most this far from its middle, seconds.
 const BESIDE_S: f64 = 0.06;
 
@@ -49,6 +51,7 @@ impl CameraImages {
         let mut pairs = Pairs::default();
         let mut batch: Vec<Stamped<Image>> = Vec::with_capacity(AT_ONCE);
         let (mut looked, mut last_s) = (0, None::<f64>);
+        let spread = Spread::over(recording, config.max_frames);
         for image in recording.images(name).map_err(unreadable(recording))? {
             let image = image.map_err(unreadable(recording))?;
             expect_size(recording, name, mounted, &image.sample)?;
@@ -67,7 +70,7 @@ impl CameraImages {
                 }
             }
             let due = last_s.is_none_or(|last| time_s - last > APART_S);
-            if due && looked < config.max_frames {
+            if due && looked < spread.allowed(time_s) {
                 batch.push(image);
                 last_s = Some(time_s);
                 looked += 1;
@@ -86,6 +89,35 @@ impl CameraImages {
             pairs: pairs.found,
             near_scan,
         })
+    }
+}
+
+/// Which images are looked at: as many in each part of a recording, in a row from where the part begins.
+struct Spread {
+    /// From where a part begins to where the next one does, seconds.
+    step_s: f64,
+    most: usize,
+}
+
+impl Spread {
+    fn over(recording: &Recording, most: usize) -> Self {
+        let range = recording.arrival_range();
+        let lasts_s = range.map_or(0.0, |range| range.end.secs_since(range.start));
+        // Ten images a second, as they are chosen.
+        let part_s = 0.1 * (most / PARTS) as f64;
+        Self {
+            step_s: ((lasts_s - part_s) / (PARTS - 1) as f64).max(0.0),
+            most,
+        }
+    }
+
+    /// Images that may have been looked at once so much of the recording has passed.
+    fn allowed(&self, time_s: f64) -> usize {
+        let begun = 1
+            + (1..PARTS)
+                .filter(|k| time_s >= self.step_s * *k as f64)
+                .count();
+        begun * self.most / PARTS
     }
 }
 

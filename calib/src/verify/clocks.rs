@@ -4,7 +4,7 @@ use lsfb_geometry::Rig;
 use lsfb_types::Verdict;
 use serde::Serialize;
 
-use super::{Check, Verification, rotation_name, time_offset_name};
+use super::{Check, Verification, rotation_name, time_drift_name, time_offset_name};
 
 /// A standard deviation above which a clock is not put into a rig, milliseconds: what a good calibration knows it to (`judgement.rs`).
 const MAX_SIGMA_MS: f64 = 0.5;
@@ -24,7 +24,7 @@ pub struct MeasuredClock {
 
 impl Verification {
     /// The rig that was verified, with the clocks that were measured in place of those it states. A camera keeps its clock where it was
-    /// measured to no better than half a millisecond, and where the camera does not turn as the gyroscope does: then it may be another's.
+    /// measured to no better than half a millisecond or changes on the way, and where the camera does not turn as the gyroscope does: then it may be another's.
     pub fn with_measured_clocks(&self, rig: &Rig) -> (Rig, Vec<MeasuredClock>) {
         let mut corrected = rig.clone();
         let mut clocks = Vec::new();
@@ -33,7 +33,10 @@ impl Verification {
             let turns = check(&rotation_name(camera));
             let is_its_own =
                 turns.is_some_and(|c| !matches!(c.outcome, Verdict::Fail | Verdict::Unknown));
-            let found = check(&time_offset_name(camera)).filter(|_| is_its_own);
+            // One that drifts has no offset that is right all along.
+            let drifts = check(&time_drift_name(camera));
+            let drifts = drifts.is_some_and(|c| c.outcome > Verdict::Pass);
+            let found = check(&time_offset_name(camera)).filter(|_| is_its_own && !drifts);
             let Some(Check {
                 value: Some(offset_ms),
                 sigma: Some(sigma_ms),

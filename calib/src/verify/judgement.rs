@@ -8,6 +8,7 @@
 //! | time offset | 2, 4 ms | a rig that is carried turns by up to 1 rad/s: 2 ms are 2 mrad, a pixel at 500 px of focal length; what is calibrated well is known to 0.5 ms |
 //! | rotation to the IMU | 0.5, 1° | the IMU carries the camera from image to image: 0.5° of its axes are 1 % of the motion, more than its scale errs by |
 //! | rotation to the LiDAR | 0.4, 0.8° | 0.4° are two steps of the LiDAR in azimuth, and 2 cm at 3 m |
+//! | both of these between parts of the recording | the same | a rig has one number for each: where it changes by more, that is wrong somewhere |
 //! | epipolar | 1, 2 px | three times what corners are found to |
 
 use lsfb_types::Verdict;

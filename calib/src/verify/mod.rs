@@ -3,6 +3,7 @@
 //! | check | compares | file |
 //! | --- | --- | --- |
 //! | time offset, rotation | a camera's angular velocity with the gyroscope's | `against_gyro.rs`, `time_offset.rs` |
+//! | the same all along | these of parts of the recording with each other | `steadiness.rs` |
 //! | LiDAR on image | steps in range with edges of brightness | `against_lidar.rs`, `alignment.rs` |
 //! | epipolar | corners in one camera with their curves in another | `against_camera.rs`, `epipolar.rs` |
 //!
@@ -20,6 +21,7 @@ mod mutual_information;
 mod page;
 mod scan_motion;
 mod scans;
+mod steadiness;
 mod time_offset;
 mod view;
 
@@ -37,7 +39,7 @@ use scans::scans;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VerifyConfig {
-    /// Images per camera compared with the gyroscope at most, from the start.
+    /// Images per camera compared with the gyroscope at most, spread over the recording in five parts.
     pub max_frames: usize,
     /// Images per camera compared with the LiDAR or another camera, spread over the recording.
     pub views: usize,
@@ -136,7 +138,17 @@ pub fn verify(
     let scans = scans(recording, rig, gyro.as_ref(), config)?;
     let mut checks = Vec::new();
     let mut overlays = Vec::new();
-    let present = recorded::cameras(recording, rig);
+    let (present, absent) = recorded::cameras(recording, rig);
+    checks.extend(absent.into_iter().map(|(name, why)| Check {
+        outcome: Verdict::Warn,
+        sentence: format!("the rig has this camera, and nothing is said of it: {why}"),
+        ..Check::unknown(
+            "camera-missing",
+            format!("{name} in the recording"),
+            "",
+            [0.0; 2],
+        )
+    }));
     for (k, (name, mounted)) in present.iter().enumerate() {
         progress(Progress {
             stage: "cameras",
@@ -146,6 +158,13 @@ pub fn verify(
         let images = CameraImages::read(recording, (name, mounted), &scans, config, progress)?;
         let pairs = &images.pairs;
         checks.extend(against_gyro::against_gyro(
+            name,
+            mounted,
+            pairs,
+            gyro.as_ref(),
+            config,
+        ));
+        checks.extend(steadiness::steadiness(
             name,
             mounted,
             pairs,
@@ -166,7 +185,7 @@ pub fn verify(
         }
     }
     checks.extend(against_camera::all(recording, &present, config)?);
-    if checks.is_empty() {
+    if present.is_empty() {
         checks.push(Check {
             sentence: "none of the rig's cameras is in this recording: check the names".to_owned(),
             ..Check::unknown("cameras", "recording".to_owned(), "", [0.0; 2])
@@ -183,6 +202,16 @@ fn time_offset_name(camera: &str) -> String {
 /// Name of the check of a camera's axes against the gyroscope's.
 fn rotation_name(camera: &str) -> String {
     format!("{camera} rotation to the IMU")
+}
+
+/// Name of the check whether a camera's clock keeps its offset.
+fn time_drift_name(camera: &str) -> String {
+    format!("{camera} time offset all along")
+}
+
+/// Name of the check whether a camera keeps its axes.
+fn mount_drift_name(camera: &str) -> String {
+    format!("{camera} rotation all along")
 }
 
 /// As it stands in tables: `PASS`.

@@ -158,6 +158,11 @@ fn scan(rig: &Rig, start_s: f64) -> LidarScan {
 
 /// Five seconds of turning in the room; images are stamped late by `late_s`.
 fn record(path: &Path, rig: &Rig, late_s: f64) {
+    record_drifting(path, rig, 5.0, &|_| late_s);
+}
+
+/// Some seconds of it; images are stamped late by what is said of their time.
+fn record_drifting(path: &Path, rig: &Rig, lasts_s: f64, late_s: &dyn Fn(f64) -> f64) {
     let config = WriterConfig::default();
     let mut writer = Writer::create(path, &config).expect("a file");
     let start = Timestamp::from_nanos(1_772_359_200_000_000_000);
@@ -170,7 +175,7 @@ fn record(path: &Path, rig: &Rig, late_s: f64) {
             sample,
         }
     }
-    for k in 0..1000 {
+    for k in 0..(200.0 * lasts_s) as u32 {
         let t = 0.005 * f64::from(k);
         let h = 1e-4;
         let turn = world_from_rig(t - h).rotation.inverse() * world_from_rig(t + h).rotation;
@@ -185,7 +190,7 @@ fn record(path: &Path, rig: &Rig, late_s: f64) {
             for name in rig.cameras.keys() {
                 let picture = image(rig, name, t);
                 writer
-                    .write_image(name, &stamped(start, t + late_s, picture))
+                    .write_image(name, &stamped(start, t + late_s(t), picture))
                     .expect("written");
             }
         }
@@ -217,7 +222,7 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
     let run = |rig: &Rig| verify(&recording, rig, &config, &no_progress).expect("verified");
 
     let found = run(&rig);
-    assert_eq!(found.checks.len(), 7, "{:?}", found.checks);
+    assert_eq!(found.checks.len(), 11, "{:?}", found.checks);
     assert!(
         found.judgement().verdict() < Verdict::Fail,
         "{:?}",
@@ -315,4 +320,33 @@ fn late_images_are_found() {
         }
     }
     assert_eq!(turned.with_measured_clocks(&rig), (rig.clone(), Vec::new()));
+}
+
+#[test]
+fn a_clock_that_drifts_on_the_way_is_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("drifting.mcap");
+    let mut rig = rig();
+    rig.cameras.remove("cam1");
+    // Right for the first three fifths of the recording, late by 12 ms at its end.
+    record_drifting(&path, &rig, 20.0, &|t| 0.012 * ((t - 12.0) / 8.0).max(0.0));
+    rig.lidars.clear();
+    let recording = Recording::open(&path).expect("a recording");
+    let config = VerifyConfig::default();
+    let found = verify(&recording, &rig, &config, &no_progress).expect("verified");
+    let check = outcome(&found, "cam0 time offset all along");
+    assert_eq!(check.outcome, Verdict::Fail, "{:?}", found.checks);
+    let off_ms = check.value.expect("found") - 10.8;
+    assert!(off_ms.abs() < 2.5, "{check:?}");
+    let mount = outcome(&found, "cam0 rotation all along");
+    assert_eq!(mount.outcome, Verdict::Pass, "{mount:?}");
+    assert_eq!(found.with_measured_clocks(&rig), (rig.clone(), Vec::new()));
+
+    // A camera that the recording lacks is missed.
+    let other = rig.cameras["cam0"].clone();
+    rig.cameras.insert("cam7".to_owned(), other);
+    let found = verify(&recording, &rig, &config, &no_progress).expect("verified");
+    let missing = outcome(&found, "cam7 in the recording");
+    assert_eq!(missing.outcome, Verdict::Warn);
+    assert!(missing.sentence.contains("cam7"), "{missing:?}");
 }

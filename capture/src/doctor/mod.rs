@@ -155,7 +155,7 @@ pub fn examine(
     if import.is_none() {
         findings.stamps(&streams, config);
     }
-    findings.topics(&streams, &arrivals, config);
+    findings.topics(recording, &streams, &arrivals, config);
     match import {
         Some(import) => findings.imported(&import),
         None => findings.losses(recording),

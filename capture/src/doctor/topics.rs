@@ -1,6 +1,8 @@
 //! Rate and silences of each topic that a sensor fills steadily.
 
-use lsfb_recording::TopicArrivals;
+use std::collections::BTreeSet;
+
+use lsfb_recording::{Recording, TopicArrivals};
 use lsfb_types::{Finding, Limit, Timestamp, Verdict};
 
 use super::file::utc;
@@ -14,6 +16,7 @@ const SHORTEST_SILENCE_SECS: f64 = 0.02;
 impl Findings {
     pub(super) fn topics(
         &mut self,
+        recording: &Recording,
         streams: &[Stream<'_>],
         arrivals: &[TopicArrivals],
         config: &DoctorConfig,
@@ -23,6 +26,7 @@ impl Findings {
             let finding = Finding::new("sensors", Verdict::Fail, "sensors", found);
             self.add(finding.value(0.0, "").limit(Limit::AtLeast(1.0)));
         }
+        self.without_a_message(recording, arrivals);
         let start = streams.iter().filter_map(|s| s.arrivals.first()).min();
         let end = streams.iter().filter_map(|s| s.arrivals.last()).max();
         let (Some(start), Some(end)) = (start, end) else {
@@ -54,6 +58,38 @@ impl Findings {
                 heard.topic.clone(),
                 found,
             ));
+        }
+    }
+
+    /// Sensors that a recording names and has no message of: their topics, the cameras that the recorder asked for images, and those of the rig.
+    fn without_a_message(&mut self, recording: &Recording, arrivals: &[TopicArrivals]) {
+        let is_filled = |topic: &str| {
+            let own = arrivals.iter().find(|a| a.topic == topic);
+            own.is_some_and(|a| !a.times.is_empty())
+        };
+        // Another topic of the same device has what this one lacks: packets where there are clouds.
+        let is_heard = |topic: &str| {
+            let device = topic.rsplit_once('/').map_or(topic, |(device, _)| device);
+            arrivals.iter().any(|a| {
+                let own = a.topic.rsplit_once('/').is_some_and(|(of, _)| of == device);
+                own && possible_hz(&a.topic).is_some() && !a.times.is_empty()
+            })
+        };
+        let declared = arrivals.iter().map(|a| a.topic.clone());
+        let declared = declared.filter(|topic| possible_hz(topic).is_some());
+        let units = recording.camera_units().unwrap_or_default();
+        let asked = units.into_iter().flat_map(|unit| unit.cameras);
+        let asked = asked.map(|camera| format!("/{camera}/image"));
+        let silent: BTreeSet<String> = declared.chain(asked).collect();
+        for topic in silent.iter().filter(|t| !is_filled(t) && !is_heard(t)) {
+            let [least, _] = possible_hz(topic).unwrap_or_default();
+            let finding = Finding::new("rate", Verdict::Fail, topic, "no message on it");
+            self.add(
+                finding
+                    .value(0.0, "Hz")
+                    .limit(Limit::AtLeast(least))
+                    .remedy("check its cable, its power and its settings"),
+            );
         }
     }
 

@@ -153,7 +153,7 @@ fn write_clocks(
 ) -> anyhow::Result<()> {
     ensure!(
         !clocks.is_empty(),
-        "{}: no camera's clock was measured to half a millisecond with its axes right, so that no rig is written; the checks say why",
+        "{}: no camera's clock was measured to half a millisecond and the same all along, with its axes right, so that no rig is written; the checks say why",
         out.display()
     );
     let again = verify(recording, rig, config, &|p| context.show(p))?;

@@ -114,6 +114,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         device: arguments.device.clone(),
         stamp_unit: arguments.stamp_unit.map(|u| u.0),
         rig: arguments.rig.as_deref().map(Rig::read).transpose()?,
+        replace_trajectories: context.force(),
     };
     let report = import(&arguments.source, &arguments.out, &config, &|p| {
         context.show(p)

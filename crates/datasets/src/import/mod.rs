@@ -14,6 +14,7 @@ mod overlap;
 mod payload;
 mod readers;
 mod report;
+mod set_back;
 mod stamp;
 mod stream;
 mod table;
@@ -48,6 +49,9 @@ pub struct ImportConfig {
     pub stamp_unit: Option<StampUnit>,
     /// The rig to attach, instead of the source's own calibration.
     pub rig: Option<Rig>,
+    /// Whether trajectories that stand beside the recording may be replaced by the source's.
+    #[serde(skip)]
+    pub replace_trajectories: bool,
 }
 
 impl Default for ImportConfig {
@@ -57,6 +61,7 @@ impl Default for ImportConfig {
             device: "phone".to_owned(),
             stamp_unit: None,
             rig: None,
+            replace_trajectories: false,
         }
     }
 }
@@ -86,6 +91,17 @@ pub fn import(
         device: &config.device,
         clock,
     };
+    let beside = |name: &str| out.with_extension(format!("{name}.tum"));
+    for (name, _) in &collected.trajectories {
+        if beside(name).exists() && !config.replace_trajectories {
+            return Err(io(
+                &beside(name),
+                std::io::Error::other(
+                    "is there already, and the source has such a trajectory too: --force replaces it, another --out keeps both",
+                ),
+            ));
+        }
+    }
     let unfinished = out.with_extension("mcap.part");
     let written = write::write(&mut collected, &said, &unfinished, progress)
         .and_then(|written| {
@@ -98,7 +114,7 @@ pub fn import(
         })?;
     let mut trajectories = Vec::new();
     for (name, trajectory) in &collected.trajectories {
-        let path = out.with_extension(format!("{name}.tum"));
+        let path = beside(name);
         write_tum(&path, trajectory)?;
         trajectories.push(path);
     }

@@ -6,6 +6,7 @@ use lsfb_recording::LAST_STAMP;
 use lsfb_types::{Timestamp, median};
 
 use super::payload::{Kind, Payload};
+use super::set_back;
 
 /// Fewer records than this have no rhythm.
 const ENOUGH: usize = 10;
@@ -120,25 +121,47 @@ impl Stream {
         }
         let steps = near.iter().zip(near.iter().skip(1));
         self.counts.reordered += steps.filter(|(a, b)| b.time < a.time).count() as u64;
-        self.records = near;
-        self.records.sort_by_key(|r| r.time);
         if self.kind.periods_s().is_none() {
+            self.records = near;
+            self.records.sort_by_key(|r| r.time);
             return self.leave_out_heard_twice();
         }
-        let mut kept: Vec<Record> = Vec::with_capacity(self.records.len());
-        for record in std::mem::take(&mut self.records) {
+        let runs = set_back::runs(near.iter().map(|r| r.time));
+        let mut records: Vec<(usize, Record)> = runs.into_iter().zip(near).collect();
+        records.sort_by_key(|(_, record)| record.time);
+        let mut kept: Vec<(usize, Record)> = Vec::with_capacity(records.len());
+        for (run, record) in records {
             match kept.last() {
-                Some(last) if last.time == record.time && last.payload == record.payload => {
+                Some((_, last)) if last.time == record.time && last.payload == record.payload => {
                     self.counts.repeated += 1;
                 }
-                Some(last) if last.time == record.time => {
+                Some((_, last)) if last.time == record.time => {
                     let at_ns = record.time.nanos();
                     self.lose(1, || format!("{what}: two different records at {at_ns} ns"));
                 }
-                _ => kept.push(record),
+                _ => kept.push((run, record)),
             }
         }
-        self.records = kept;
+        self.leave_out_told_twice(&what, &mut kept);
+        self.records = kept.into_iter().map(|(_, record)| record).collect();
+    }
+
+    /// Leaves out records of times that the device told twice, as nobody knows which of them came first.
+    fn leave_out_told_twice(&mut self, what: &str, records: &mut Vec<(usize, Record)>) {
+        let times: Vec<_> = records.iter().map(|(run, r)| (*run, r.time)).collect();
+        for twice in set_back::told_twice(&times) {
+            let before = records.len();
+            records.retain(|(run, r)| !(twice.times.contains(&r.time) && twice.runs.contains(run)));
+            let (start, end) = (twice.times.start(), twice.times.end());
+            let secs = end.secs_since(*start);
+            self.lose((before - records.len()) as u64, || match twice.runs.len() {
+                1 => format!("{what}: stamps that go back by {secs:.1} s, at {} ns", end.nanos()),
+                _ => format!(
+                    "{what}: stamps go back by {secs:.1} s at {} ns, so that this time is told twice: the clock was set, or two recordings are in one; import each part alone",
+                    end.nanos()
+                ),
+            });
+        }
     }
 
     /// Of what comes when there is something to hear, the same at the same time twice was written twice.

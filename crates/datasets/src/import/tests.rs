@@ -272,6 +272,76 @@ fn what_is_out_of_order_is_put_in_order_and_told() {
 }
 
 #[test]
+fn times_that_a_clock_told_twice_are_left_out_and_counted() {
+    let folder = euroc();
+    // Samples 5 ms apart; from the 300th on the clock is 500 ms behind.
+    edit(&folder, "mav0/imu0/data.csv", |text| {
+        let mut lines = text.lines();
+        let head = lines.next().expect("a head").to_owned();
+        let late = lines.enumerate().map(|(n, line)| {
+            let (stamp, rest) = line.split_once(',').expect("cells");
+            let stamp: i64 = stamp.parse().expect("a stamp");
+            let back = if n < 300 { 0 } else { 501_000_000 };
+            format!("\n{},{rest}", stamp - back)
+        });
+        head + &late.collect::<String>() + "\n"
+    });
+    let (report, recording) = imported(folder.path());
+    let imu = count(&report, "imu0/data.csv");
+    // A hundred before it was set, and all hundred behind.
+    assert_eq!((imu.read, imu.written, imu.unreadable), (400, 200, 200));
+    let problem = imu.first_problem.as_deref().expect("said");
+    assert!(problem.contains("the clock was set"), "{problem}");
+    assert_eq!(recording.imu().expect("imu").count(), 200);
+}
+
+#[test]
+fn trajectories_are_not_replaced_and_lose_no_pose() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let sensors = folder.path().join("sensors");
+    std::fs::create_dir_all(sensors.join("records_data")).expect("a folder");
+    for (name, text) in [
+        (
+            "sensors.txt",
+            "# kapture format: 1.1\nc, , camera, SIMPLE_PINHOLE, 4, 2, 3.5, 2.0, 1.0\n",
+        ),
+        ("records_camera.txt", "1, c, a.png\n"),
+        (
+            "trajectories.txt",
+            "1, c, 1, 0, 0, 0, 0, 0, 0\n2, c, 1, 0, 0, 0, 1, 0, 0\n",
+        ),
+    ] {
+        std::fs::write(sensors.join(name), text).expect("file");
+    }
+    png(&sensors.join("records_data/a.png"), 1);
+    let out = folder.path().join("walk.mcap");
+    let run = |replace_trajectories| {
+        let config = ImportConfig {
+            stamp_unit: Some(StampUnit::Seconds),
+            replace_trajectories,
+            ..ImportConfig::default()
+        };
+        import(folder.path(), &out, &config, &no_progress)
+    };
+    let report = run(false).expect("an import");
+    let [tum] = report.trajectories.as_slice() else {
+        panic!("{:?}", report.trajectories);
+    };
+    std::fs::write(tum, "somebody's\n").expect("file");
+    let error = run(false).expect_err("refused").to_string();
+    assert!(error.contains("is there already"), "{error}");
+    assert_eq!(std::fs::read_to_string(tum).expect("file"), "somebody's\n");
+    run(true).expect("replaced");
+    assert!(std::fs::read_to_string(tum).expect("file").lines().count() >= 2);
+
+    // Two sensors whose names become one, at one time.
+    let both = "1, c/0, 1, 0, 0, 0, 0, 0, 0\n1, c_0, 1, 0, 0, 0, 5, 0, 0\n";
+    std::fs::write(sensors.join("trajectories.txt"), both).expect("file");
+    let error = run(true).expect_err("refused").to_string();
+    assert!(error.contains("1 of 2 poses"), "{error}");
+}
+
+#[test]
 fn stamps_in_another_unit_are_refused() {
     for (case, unit) in [("microseconds", 1_000), ("milliseconds", 1_000_000)] {
         let folder = euroc();

@@ -271,9 +271,18 @@ impl Reader<'_> {
             });
         }
         for (device, poses) in poses {
-            self.into
-                .trajectories
-                .push((device, Trajectory::new(poses)));
+            let read = poses.len();
+            let trajectory = Trajectory::new(poses);
+            if trajectory.len() < read {
+                return Err(Error::Recorded {
+                    path: path.to_owned(),
+                    problem: format!(
+                        "{} of {read} poses of {device} have the stamp of another one: a list that stands there twice, or two sensors whose names differ by signs alone",
+                        read - trajectory.len()
+                    ),
+                });
+            }
+            self.into.trajectories.push((device, trajectory));
         }
         Ok(())
     }
