@@ -12,6 +12,8 @@ use super::judgement::judged;
 use super::time_offset::{self, Agreement};
 use super::{Check, VerifyConfig, mount_drift_name, time_drift_name};
 
+/// Pairs of images of a part: eight seconds of them. Fewer do not tell how well they know what they say.
+const PAIRS: usize = 80;
 /// Of ten pairs of parts the one that differs most is judged: chance explains more of it than of a single one, by this factor.
 const WORST_OF_TEN: f64 = 4.0 / 3.0;
 
@@ -59,7 +61,7 @@ pub(super) fn steadiness(
             Some(found) => judge(check, &found),
             None => {
                 check.sentence = format!(
-                    "{} of {PARTS} parts of the recording tell by themselves, two are needed: a longer recording, with turning all along, would tell",
+                    "{} of its parts tell by themselves, two are needed: a longer recording, with turning all along, would tell",
                     parts.len()
                 );
             }
@@ -73,7 +75,8 @@ fn parts(mounted: &RigCamera, pairs: &[Pair], gyro: &IntegratedGyro) -> Vec<Part
     let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else {
         return Vec::new();
     };
-    let part_s = (last.to_s - first.from_s) / PARTS as f64;
+    let parts = (pairs.len() / PAIRS).clamp(2, PARTS);
+    let part_s = (last.to_s - first.from_s) / parts as f64;
     let part_of = |pair: &Pair| ((pair.from_s - first.from_s) / part_s) as usize;
     let parts = pairs.chunk_by(|a, b| part_of(a) == part_of(b));
     let parts = parts.filter_map(|pairs| {
