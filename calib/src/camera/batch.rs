@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
-use lsfb_solver::{Block, Kernel, Problem, ResidualId, SolveConfig, Undetermined, solve};
+use lsfb_solver::{
+    Block, Kernel, Problem, ResidualId, SolveConfig, Undetermined, solve_until_converged,
+};
 use nalgebra::SVector;
 
 use super::corner_residual::CornerResidual;
@@ -92,7 +94,7 @@ impl Solved<'_> {
             cost_tolerance: 1e-12,
             ..SolveConfig::default()
         };
-        let report = solve(&mut batch.problem, &config)?;
+        let report = solve_until_converged(&mut batch.problem, &config)?;
         self.undetermined = report
             .undetermined
             .first()

@@ -1,7 +1,7 @@
 //! The batch: every corner, every sample, one spline.
 
 use lsfb_geometry::{Vector2, Vector3, spline};
-use lsfb_solver::{Block, Kernel, Problem, solve};
+use lsfb_solver::{Block, Kernel, Problem, solve, solve_until_converged};
 
 use super::bend::bends;
 use super::blocks::Blocks;
@@ -52,7 +52,11 @@ impl RigEstimate {
     /// Minimises over everything.
     pub fn adjust(&mut self, config: &CameraImuConfig, effort: Effort) -> Result<(), Error> {
         let (mut problem, blocks) = self.problem(config, effort)?;
-        solve(&mut problem, &effort.settings())?;
+        let settings = effort.settings();
+        match effort.all_views {
+            true => solve_until_converged(&mut problem, &settings)?,
+            false => solve(&mut problem, &settings)?,
+        };
         let vector = |b: &Block<Vector3<f64>>| problem.value(*b);
         self.motion.rotations = blocks.rotations.iter().map(|b| problem.value(*b)).collect();
         self.motion.positions = blocks.positions.iter().map(vector).collect();

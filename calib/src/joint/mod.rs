@@ -15,7 +15,9 @@ mod swapped;
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix6, Rig, Se3};
-use lsfb_solver::{Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve};
+use lsfb_solver::{
+    Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve_until_converged,
+};
 use lsfb_types::{Bounds, Finding};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -246,7 +248,8 @@ fn adjust(graph: &[GraphEdge]) -> Result<Adjusted, Error> {
         cost_tolerance: 1e-14,
         ..SolveConfig::default()
     };
-    let cost = solve(&mut problem, &config)?.final_cost;
+    let report = solve_until_converged(&mut problem, &config)?;
+    let cost = report.final_cost;
     Ok(Adjusted {
         problem,
         blocks,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_perception::statistics::median;
-use lsfb_solver::{BlockId, SolveConfig, covariance, influences, solve};
+use lsfb_solver::{BlockId, SolveConfig, covariance, influences, solve_until_converged};
 use nalgebra::{DVector, Matrix2};
 
 use super::association::Joined;
@@ -225,7 +225,7 @@ fn converge(
             pattern: 1.0,
         };
         let mut built = build(board, scenes, used, &state, reach, Shift::None)?;
-        let report = solve(&mut built.problem, &solve_config())?;
+        let report = solve_until_converged(&mut built.problem, &solve_config())?;
         pose = built.problem.value(built.camera_from_lidar);
         apparent = built.problem.value(built.apparent);
         for (u, block) in used.iter_mut().zip(&built.boards) {
@@ -298,7 +298,7 @@ pub(super) fn plate_shift(
     };
     let reach = Reach::Within(config.max_edge_error_m);
     let mut built = build(board, scenes, &mut used, &state, reach, Shift::Free)?;
-    solve(&mut built.problem, &solve_config())?;
+    solve_until_converged(&mut built.problem, &solve_config())?;
     let joint = covariance(&built.problem, &[built.shift.id()])?;
     Ok(PlateShift {
         shift_m: built.problem.value(built.shift),
@@ -333,7 +333,7 @@ pub(super) fn pattern_size(
         };
         let reach = Reach::Within(config.max_edge_error_m);
         let mut built = build(board, scenes, &mut used, &state, reach, Shift::None)?;
-        let cost = solve(&mut built.problem, &solve_config())?.final_cost;
+        let cost = solve_until_converged(&mut built.problem, &solve_config())?.final_cost;
         Ok((cost, built.edges))
     };
     let mut size = PatternSize {

@@ -5,7 +5,7 @@
 
 use lsfb_recording::Recording;
 use lsfb_recording::message::{self, decode_imu};
-use lsfb_types::{Finding, ImuSample, Timestamp, Verdict, median};
+use lsfb_types::{Finding, ImuSample, Timestamp, Verdict, median, quantile};
 
 use super::{Depth, DoctorConfig, Findings};
 use crate::health::Repeats;
@@ -19,8 +19,8 @@ const LEAST_SAMPLES: usize = 100;
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// Between these shares of gravity lies the middle of the forces on something that is carried: a runner's steps are in it.
 const FORCES: [f64; 2] = [0.8, 1.6];
-/// Nobody turns what he carries faster than this half of the time, rad/s.
-const MOST_RAD_S: f64 = 10.0;
+/// Nobody turns what he carries faster than this half of the time, nor for a twentieth of it, rad/s: a calm walk in degrees a second has a middle of 3 to 8.
+const MOST_RAD_S: [(f64, f64, &str); 2] = [(0.5, 10.0, "half"), (0.95, 15.0, "a twentieth")];
 /// An axis is dead where it never changes though the others of its sensor change by this: rad/s, m/s².
 const TURNS_RAD_S: f64 = 0.3;
 const FORCES_M_S2: f64 = 1.0;
@@ -92,7 +92,6 @@ impl Measured {
             problems.push((found, "restart it"));
         }
         let force_m_s2 = median(self.forces_m_s2.clone()).unwrap_or_default();
-        let rate_rad_s = median(self.rates_rad_s.clone()).unwrap_or_default();
         let [least, most] = FORCES.map(|share| share * GRAVITY_M_S2);
         if !(least..=most).contains(&force_m_s2) {
             let found = format!(
@@ -106,9 +105,14 @@ impl Measured {
             };
             problems.push((found, remedy));
         }
-        if rate_rad_s > MOST_RAD_S {
-            let found =
-                format!("turns of {rate_rad_s:.1} rad/s half of the time, which nobody does");
+        let too_fast = MOST_RAD_S.iter().find_map(|(share, most, time)| {
+            let rate_rad_s = quantile(self.rates_rad_s.clone(), *share)?;
+            (rate_rad_s > *most).then_some((rate_rad_s, time))
+        });
+        if let Some((rate_rad_s, time)) = too_fast {
+            let found = format!(
+                "turns of {rate_rad_s:.1} rad/s and more {time} of the time, which nobody does"
+            );
             problems.push((found, "are they in degrees? Rates are in rad/s"));
         }
         let sensors = [("gyroscope", TURNS_RAD_S), ("accelerometer", FORCES_M_S2)];
@@ -254,6 +258,11 @@ mod tests {
         };
         fails(|n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2), "they are in g");
         fails(|n| scaled(n, 57.3, 1.0), "in degrees");
+        // Most of the time it stood on a table.
+        fails(
+            |n| scaled(n, if n < 1_600 { 1e-3 } else { 57.3 }, 1.0),
+            "in degrees",
+        );
         // Gravity was taken off.
         fails(
             |n| {

@@ -243,6 +243,41 @@ fn a_lidar_at_half_its_rate_has_failed_and_a_time_lapse_has_not() {
     assert_eq!(rate.verdict, Verdict::Fail, "{rate:?}");
 }
 
+/// The recorder asked cam7 for images, and was killed before one came: nothing in the file is wrong.
+#[test]
+fn a_camera_that_never_sent_an_image_is_missed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scan.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    let unit = CameraUnit {
+        cameras: vec!["cam7".to_owned()],
+        rate_hz: 10,
+        ..CameraUnit::default()
+    };
+    let listed = CameraUnit::attachment(&[unit]);
+    writer
+        .attach(&listed.name, &listed.media_type, &listed.bytes)
+        .unwrap();
+    for n in 0..1_000 {
+        let time = Timestamp::from_nanos(START + n * PERIOD_NS);
+        let sample = Stamped {
+            time,
+            arrival: time,
+            device_ticks: 0,
+            sample: ImuSample::default(),
+        };
+        writer.write_imu("imu0", &sample).unwrap();
+    }
+    writer.finish().unwrap();
+    let judgement = diagnosis(&path, Depth::Indexes);
+    let rate = found_at(&judgement, "rate", "/cam7/image");
+    assert_eq!(rate.verdict, Verdict::Fail, "{rate:?}");
+    assert_eq!(
+        found_at(&judgement, "rate", "/imu0/data_raw").verdict,
+        Verdict::Pass
+    );
+}
+
 /// A receiver whose almanac is old names a second of years ago, and as steadily as any other.
 #[test]
 fn a_device_that_names_another_year_is_no_pass() {

@@ -154,6 +154,14 @@ pub enum Error {
         /// Central difference.
         numeric: f64,
     },
+    /// It goes on and on.
+    #[error(
+        "no minimum after {iterations} iterations: what was measured hardly determines what is searched, or contradicts itself"
+    )]
+    NotConverged {
+        /// Iterations in all.
+        iterations: usize,
+    },
     /// A residual is undefined where its Jacobian should be checked.
     #[error(
         "residual {residual} is undefined at or near its values: check Jacobians inside the domain"

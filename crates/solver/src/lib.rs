@@ -3,6 +3,7 @@
 mod bounds;
 mod config;
 mod conjugate_gradients;
+mod converged;
 mod covariance;
 mod dense_jacobian;
 mod diagnosis;
@@ -30,6 +31,7 @@ mod residual;
 mod robust;
 
 pub use config::{Diagnosis, LinearSolver, Method, SolveConfig};
+pub use converged::{solve_until_converged, solve_until_converged_controlled};
 pub use covariance::{Covariance, covariance, covariance_of_groups};
 pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use lsfb_recording::LAST_STAMP;
-use lsfb_types::{Timestamp, median};
+use lsfb_types::{Timestamp, median, quantile};
 
 use super::payload::{Kind, Payload};
 use super::set_back;
@@ -19,8 +19,8 @@ const POSSIBLE_FORCE_M_S2: std::ops::Range<f64> = 6.0..15.0;
 const POSSIBLE_FIELD_T: std::ops::Range<f64> = 2e-6..1e-2;
 /// How long images are exposed, nanoseconds.
 const POSSIBLE_EXPOSURE_NS: std::ops::Range<f64> = 1e3..1e9;
-/// Nobody turns a device faster for half of the time, rad/s.
-const FASTEST_RAD_S: f64 = 10.0;
+/// Nobody turns a device faster for half of the time, nor for a twentieth of it, rad/s: a calm walk in degrees a second has a middle of 3 to 8.
+const FASTEST_RAD_S: [(f64, f64, &str); 2] = [(0.5, 10.0, "half"), (0.95, 15.0, "a twentieth")];
 
 /// One record with its stamps.
 #[derive(Clone, Debug)]
@@ -204,15 +204,17 @@ impl Stream {
                 "the median specific force is {force:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off"
             ));
         }
-        let rate = self.median(|payload| match payload {
+        let rates = self.values(|payload| match payload {
             Payload::Imu(sample) => Some(length(sample.angular_velocity_rad_s)),
             Payload::Vector(vector) if is("gyro") => Some(length(*vector)),
             _ => None,
         });
-        if let Some(rate) = rate.filter(|r| *r > FASTEST_RAD_S) {
-            return Some(format!(
-                "the IMU measured turns of {rate:.1} rad/s half of the time, which nobody does: they are in degrees, or in another unit"
-            ));
+        for (share, most, time) in FASTEST_RAD_S {
+            if let Some(rate) = quantile(rates.clone(), share).filter(|rate| *rate > most) {
+                return Some(format!(
+                    "the IMU measured turns of {rate:.1} rad/s and more {time} of the time, which nobody does: they are in degrees, or in another unit"
+                ));
+            }
         }
         let is_bias = self.topic.ends_with("_bias");
         let field = self.median(|payload| match payload {
@@ -234,12 +236,19 @@ impl Stream {
         })
     }
 
-    /// Median of a number of the records that have it; `None` of few.
-    fn median(&self, number: impl Fn(&Payload) -> Option<f64>) -> Option<f64> {
+    /// A number of the records that have it; none of few.
+    fn values(&self, number: impl Fn(&Payload) -> Option<f64>) -> Vec<f64> {
         let numbers = self.records.iter().filter_map(|r| number(&r.payload));
         let numbers: Vec<f64> = numbers.collect();
-        let is_enough = numbers.len() >= ENOUGH;
-        median(numbers).filter(|_| is_enough)
+        match numbers.len() >= ENOUGH {
+            true => numbers,
+            false => Vec::new(),
+        }
+    }
+
+    /// Median of such a number.
+    fn median(&self, number: impl Fn(&Payload) -> Option<f64>) -> Option<f64> {
+        median(self.values(number))
     }
 
     /// Median of the times between its records, seconds, where no such sensor has it: its stamps are in another unit.

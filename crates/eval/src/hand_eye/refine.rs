@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use lsfb_geometry::{Se3, Vector2, Vector6};
-use lsfb_solver::{Block, Kernel, Problem, SolveConfig, covariance, solve};
+use lsfb_solver::{Block, Kernel, Problem, SolveConfig, covariance, solve_until_converged};
 use lsfb_types::median;
 
 use super::ClockModel;
@@ -321,7 +321,7 @@ fn adjust(
         cost_tolerance: 1e-10,
         ..SolveConfig::default()
     };
-    solve(&mut problem, &config)?;
+    solve_until_converged(&mut problem, &config)?;
     *state = Unknowns {
         world: problem.value(world),
         body: problem.value(body),

@@ -1,7 +1,7 @@
 //! Least squares over the marks, and what each measurement is checked by.
 
 use lsfb_geometry::Vector2;
-use lsfb_solver::{Kernel, Problem, SolveConfig, solve};
+use lsfb_solver::{Kernel, Problem, SolveConfig, solve_until_converged};
 use nalgebra::{DMatrix, DVector};
 
 use super::observation::{Observation, Quantity};
@@ -56,7 +56,7 @@ pub(super) fn adjust(
         max_iterations: 200,
         ..SolveConfig::default()
     };
-    solve(&mut problem, &config)?;
+    solve_until_converged(&mut problem, &config)?;
     let places: Vec<Vector2<f64>> = blocks.iter().map(|block| problem.value(*block)).collect();
     covariance(names, observations, places, &held)
 }
