@@ -24,6 +24,9 @@ pub struct Provenance {
     /// [`rig_sha256`] of each rig that was used by the name of its device: which calibration the result rests on.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub rigs: BTreeMap<String, String>,
+    /// What was found wrong with the result when it was made, a sentence each: what is made of it would be wrong too. Empty where nothing was.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failures: Vec<String>,
 }
 
 impl Provenance {
@@ -35,23 +38,38 @@ impl Provenance {
             config: serde_json::to_value(config).unwrap_or_default(),
             inputs: BTreeMap::new(),
             rigs: BTreeMap::new(),
+            failures: Vec::new(),
         }
     }
 
-    /// Adds the hash of an input file.
+    /// Adds the hash of an input file by the file's name; a second file of that name is `NAME#2`.
     pub fn add_input(&mut self, path: &Path) -> Result<(), Error> {
         let name = path
             .file_name()
             .unwrap_or(path.as_os_str())
             .to_string_lossy()
             .into_owned();
-        self.inputs.insert(name, sha256_of(path)?);
+        let sha256 = sha256_of(path)?;
+        let numbers = (2..).map(|n| format!("{name}#{n}"));
+        let names = std::iter::once(name.clone()).chain(numbers);
+        let is_free = |name: &String| self.inputs.get(name).is_none_or(|own| *own == sha256);
+        if let Some(name) = names.into_iter().find(is_free) {
+            self.inputs.insert(name, sha256);
+        }
         Ok(())
     }
 
     /// Names the calibration that was used.
     pub fn add_rig(&mut self, rig: &Rig) {
         self.rigs.insert(rig.name.clone(), rig_sha256(rig));
+    }
+
+    /// The same of a result with which something was found wrong.
+    pub fn with_failures(&self, failures: Vec<String>) -> Self {
+        Self {
+            failures,
+            ..self.clone()
+        }
     }
 
     /// Writes `<result>.provenance.json` beside `result` and gives its path.

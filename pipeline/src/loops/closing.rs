@@ -5,12 +5,13 @@ use lsfb_types::{ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::agreement::Measured;
+use super::assessment::CHI_SQUARED;
 use super::graph::{self, Closed, squared_sigmas};
 use super::keyframes::{self, Keyframe, added};
 use super::{LoopVerdict, Loops};
 use crate::Error;
 use crate::bending::bent;
-use crate::odometry::OdometryResult;
+use crate::odometry::{OdometryResult, OdometryWarning};
 
 /// Loops that the odometry has closed itself, by the map it keeps, leave the trajectory as it is: metres and radians.
 const CLOSED_M: f64 = 0.02;
@@ -66,6 +67,13 @@ pub fn close_loops(
     let moved_m = moved.map(|(k, now)| (k.world_from_rig.translation - now.translation).norm());
     closing.moved_m = moved_m.fold(0.0, f64::max);
     bend(result, &keyframes, &closed);
+    // Bent by a loop that is not one, a walk agrees with it: what the odometry said before tells.
+    let of_odometry = loops.accepted().filter_map(|l| l.scores.odometry_sigmas);
+    let sigmas = of_odometry.fold(closing.worst_sigmas, f64::max);
+    if sigmas * sigmas > CHI_SQUARED {
+        let warnings = &mut result.report.warnings;
+        warnings.push(OdometryWarning::LoopMisfit { sigmas });
+    }
     Ok(closing)
 }
 

@@ -346,11 +346,32 @@ fn walk(
     Ok((odometry.trajectory, report))
 }
 
+/// How long no scan told the motion from each keyframe to the next, seconds: in holes of the trajectory, and in gaps of the odometry's scans, from and until
+/// seconds after the first of its poses.
+fn blind_secs(keyframes: &[StampedPose], trajectory: &Trajectory, gaps_s: &[[f64; 2]]) -> Vec<f64> {
+    let Some(begin) = trajectory.poses().first().map(|pose| pose.time) else {
+        return vec![0.0; keyframes.len()];
+    };
+    let holes = trajectory.holes();
+    let holes = holes.map(|hole| hole.map(|pose| pose.time.secs_since(begin)));
+    let blind: Vec<[f64; 2]> = holes.chain(gaps_s.iter().copied()).collect();
+    let pairs = keyframes.windows(2);
+    pairs
+        .map(|pair| {
+            let [from_s, to_s] = [0, 1].map(|k| pair[k].time.secs_since(begin));
+            let shared = blind
+                .iter()
+                .map(|[a, b]| (b.min(to_s) - a.max(from_s)).max(0.0));
+            shared.fold(0.0, f64::max)
+        })
+        .collect()
+}
+
 /// What is to be said of a trajectory to start from; refused where it is hardly of this recording.
 fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, Error> {
     let (mut scans, mut reached) = (0u64, 0u64);
-    // Damaged ones are told where they are used.
-    for scan in recording.scans()?.flatten() {
+    let mut damages = Damages::default();
+    for scan in recording.scans()?.filter_map(|scan| damages.keep(scan)) {
         scans += 1;
         reached += u64::from(given.at(scan.time).is_some());
     }
@@ -363,9 +384,18 @@ fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, E
     }
     let missing = scans - reached;
     // The first scan may begin before the first pose.
-    let warnings = (missing > 2).then_some(MappingWarning::StartPartial { missing, scans });
+    let partial = (missing > 2).then_some(MappingWarning::StartPartial { missing, scans });
+    let begin = given.poses().first().map(|pose| pose.time);
+    let holes = given.holes().filter_map(|[start, end]| {
+        Some(MappingWarning::StartHole {
+            after_secs: start.time.secs_since(begin?),
+            secs: end.time.secs_since(start.time),
+        })
+    });
+    let damaged = damages.into_sentences().into_iter();
+    let damaged = damaged.map(|what| MappingWarning::Damaged { what });
     Ok(MappingReport {
-        warnings: warnings.into_iter().collect(),
+        warnings: partial.into_iter().chain(holes).chain(damaged).collect(),
         ..MappingReport::default()
     })
 }
@@ -453,6 +483,7 @@ fn optimise(
     progress: ProgressFn<'_>,
 ) -> Result<(Optimised, ShownCameras), Error> {
     let odometry = &keyframes.poses();
+    let blind_s = blind_secs(odometry, trajectory, &report.odometry.gaps);
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
     let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
@@ -512,6 +543,7 @@ fn optimise(
         let terms = Terms {
             scans: &scans,
             odometry,
+            blind_s: &blind_s,
             weights,
         };
         let before = keyframes.poses();
@@ -540,7 +572,9 @@ fn optimise(
         report.rounds.push(done);
         report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
         if rests || round + 1 >= most_rounds {
-            if !rests && run.given {
+            // From the odometry few rounds are made: what moves images beyond their matches is too much for that.
+            let moves = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
+            if !rests && (run.given || moves) {
                 report.warnings.push(MappingWarning::NotAtRest {
                     rounds: round as u64 + 1,
                     moved_m,
@@ -570,6 +604,7 @@ fn optimise(
         terms: Terms {
             scans: &scans,
             odometry,
+            blind_s: &blind_s,
             weights,
         },
     };

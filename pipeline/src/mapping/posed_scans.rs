@@ -199,6 +199,7 @@ pub fn refine_scan_poses(
             lidar_features: features,
             ..mapping.clone()
         };
+        let blind_s = vec![0.0; given.len()];
         for _ in 0..ROUNDS {
             let pairs = scan_pairs(&keyframes.frames, &settings);
             found = scan_correspondences(&keyframes.frames, &pairs, &settings);
@@ -206,6 +207,7 @@ pub fn refine_scan_poses(
             let terms = Terms {
                 scans: &found,
                 odometry: &given,
+                blind_s: &blind_s,
                 weights: Weights {
                     contradicted: Contradicted::default(),
                     ..Weights::estimate(&lidar, &[], &settings.correlation)

@@ -86,10 +86,16 @@ impl MappingReport {
             .collect()
     }
 
-    /// Whether every message was read and every scan found its place.
-    pub fn has_all_data(&self) -> bool {
-        let is_damaged = |w: &MappingWarning| matches!(w, MappingWarning::Damaged { .. });
-        self.odometry.has_all_data() && !self.warnings.iter().any(is_damaged)
+    /// Whether nothing is left out: every message was read, every scan found its place, none stayed away for long, and a trajectory to start from has all of
+    /// the walk.
+    pub fn is_whole(&self) -> bool {
+        let leaves_out = |w: &MappingWarning| {
+            matches!(
+                w,
+                MappingWarning::Damaged { .. } | MappingWarning::StartHole { .. }
+            )
+        };
+        self.odometry.is_whole() && !self.warnings.iter().any(leaves_out)
     }
 }
 
@@ -210,6 +216,13 @@ pub enum MappingWarning {
         /// All scans.
         scans: u64,
     },
+    /// A trajectory to start from has a hole.
+    StartHole {
+        /// When it begins, seconds after its first pose.
+        after_secs: f64,
+        /// How long.
+        secs: f64,
+    },
     /// Stored clouds do not have all scans.
     CloudsPartial {
         /// Scans that are not among them.
@@ -311,6 +324,13 @@ impl MappingWarning {
                 format!("{missing} of {scans} scans are not within the trajectory that was given to start from: what they saw is not in the map"),
             )
             .remedy("give the whole trajectory of this recording"),
+            Self::StartHole { after_secs, secs } => warn(
+                "start-hole",
+                "trajectory",
+                format!("the trajectory that was given to start from has no pose for {secs:.1} s, {after_secs:.1} s after its first: what was seen there is not in the map"),
+            )
+            .value(*secs, "s")
+            .remedy("see why the program that made it lost its way there, and scan that part again"),
             Self::CloudsPartial { missing, scans } => warn(
                 "clouds-partial",
                 "clouds",
@@ -349,15 +369,15 @@ mod tests {
 
     #[test]
     fn a_map_of_a_damaged_recording_has_not_all_data() {
-        assert!(MappingReport::default().has_all_data());
+        assert!(MappingReport::default().is_whole());
         let what = "chunk does not unpack".to_owned();
         let images = MappingReport {
             warnings: vec![MappingWarning::Damaged { what }],
             ..MappingReport::default()
         };
-        assert!(!images.has_all_data());
+        assert!(!images.is_whole());
         let mut scans = MappingReport::default();
         scans.odometry.skipped = 1;
-        assert!(!scans.has_all_data());
+        assert!(!scans.is_whole());
     }
 }

@@ -11,6 +11,7 @@ mod degeneracy;
 mod first_second;
 mod free_space;
 mod imu_check;
+mod imu_pauses;
 mod inertial;
 mod motion;
 mod online;

@@ -28,11 +28,21 @@ pub struct OdometryReport {
     /// The largest standard deviation of the last pose's place, in any direction, relative to the first pose, metres.
     #[serde(default)]
     pub sigma_at_end_m: f64,
+    /// The same of the pose that is known worst: when, seconds after the first scan, and how well, metres.
+    #[serde(default)]
+    pub largest_sigma: [f64; 2],
+    /// Where scans agree least with the map over ten seconds: seconds after the first registered scan, mean share of their keypoints. Absent with few scans.
+    #[serde(default)]
+    pub least_agreement: Option<[f64; 2]>,
     /// How motion within scans was undone.
     #[serde(default)]
     pub deskew: DeskewReport,
     /// Scans left out: empty, out of order, or before the first inertial sample.
     pub skipped: u64,
+    /// Where the IMU measured nothing for more than a quarter of a second, or the same again and again while the carrier moved: from and until when, seconds
+    /// after the first scan. Empty without an IMU.
+    #[serde(default)]
+    pub imu_pauses: Vec<[f64; 2]>,
     /// Inertial samples used.
     pub imu_samples: u64,
     /// Usual time from one registered scan to the next (median), seconds; 0 for a single scan.
@@ -52,8 +62,8 @@ pub struct OdometryReport {
     pub warnings: Vec<OdometryWarning>,
 }
 
-/// Where the last pose may be farther off than this in one direction, the end is not found, metres.
-const MAX_SIGMA_AT_END_M: f64 = 1.0;
+/// Where a pose may be farther off than this in one direction, its place is not found, metres.
+const MAX_SIGMA_M: f64 = 1.0;
 
 /// Scans that are farther apart than this see too little in common for their covariances to be relied on, seconds.
 const RARE_SCANS_S: f64 = 1.0;
@@ -61,19 +71,30 @@ const RARE_SCANS_S: f64 = 1.0;
 /// Where scans are deskewed by times and an IMU leads, more of a scan than this agrees with the map: 0.84 and more in nine simulated places, 0.44 with
 /// an accelerometer of the wrong sign.
 const USUAL_AGREEMENT: f64 = 0.6;
+/// The same over ten seconds, in which somebody may go through a door.
+const LEAST_AGREEMENT: f64 = 0.5;
 
 impl OdometryReport {
-    /// What an IMU that measures something else makes of a walk, where it shows in nothing else.
+    /// What an IMU that measures something else makes of a walk, or of a part of it, where it shows in nothing else.
     pub(super) fn little_agreement(&self) -> Option<OdometryWarning> {
-        let share = self.mean_inlier_ratio;
         let leads = self.imu_samples > 0 && self.deskew.by_times > self.deskew.none;
-        (leads && self.registered > 1 && share < USUAL_AGREEMENT)
-            .then_some(OdometryWarning::LittleAgreement { share })
+        if !leads || self.registered < 2 {
+            return None;
+        }
+        let share = self.mean_inlier_ratio;
+        if share < USUAL_AGREEMENT {
+            return Some(OdometryWarning::LittleAgreement { share });
+        }
+        let [from_s, share] = self.least_agreement?;
+        (share < LEAST_AGREEMENT).then_some(OdometryWarning::StretchDisagrees { from_s, share })
     }
 
-    /// Whether nothing is left out: every message was read, every scan found its place, none stayed away for long, and the place of the last is known.
+    /// Whether nothing is left out: every message was read, every scan found its place, none stayed away for long, nor did the IMU, and every place is known.
     pub fn is_whole(&self) -> bool {
-        self.has_all_data() && self.gaps.is_empty() && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+        let [_, largest_m] = self.largest_sigma;
+        let is_known = self.sigma_at_end_m <= MAX_SIGMA_M && largest_m <= MAX_SIGMA_M;
+        let is_measured = self.gaps.is_empty() && self.imu_pauses.is_empty();
+        self.has_all_data() && is_measured && is_known
     }
 
     /// Whether every message was read and every scan found its place.
@@ -88,17 +109,33 @@ impl OdometryReport {
         self.scan_interval_s > RARE_SCANS_S
     }
 
-    /// How well the end is known once that has changed: what was said of it before is taken back.
-    pub(super) fn set_sigma_at_end(&mut self, sigma_m: f64) {
-        self.sigma_at_end_m = sigma_m;
-        let is_of_end = |w: &OdometryWarning| matches!(w, OdometryWarning::EndUncertain { .. });
-        self.warnings.retain(|w| !is_of_end(w));
-        self.warnings.extend(self.end_uncertain());
+    /// Says where the IMU paused.
+    pub(super) fn set_imu_pauses(&mut self, pauses: Vec<[f64; 2]>) {
+        let said = pauses.iter();
+        let said = said.map(|&[from_s, to_s]| OdometryWarning::ImuPause { from_s, to_s });
+        self.warnings.extend(said);
+        self.imu_pauses = pauses;
     }
 
-    fn end_uncertain(&self) -> Option<OdometryWarning> {
-        let sigma_m = self.sigma_at_end_m;
-        (sigma_m > MAX_SIGMA_AT_END_M).then_some(OdometryWarning::EndUncertain { sigma_m })
+    /// How well the poses are known, as that is or has become: at the end, and where they are known worst. What was said of it before is taken back.
+    pub(super) fn set_sigmas(&mut self, at_end_m: f64, largest: [f64; 2]) {
+        (self.sigma_at_end_m, self.largest_sigma) = (at_end_m, largest);
+        let is_of_it = |w: &OdometryWarning| {
+            matches!(
+                w,
+                OdometryWarning::EndUncertain { .. } | OdometryWarning::StretchUncertain { .. }
+            )
+        };
+        self.warnings.retain(|w| !is_of_it(w));
+        let [at_s, sigma_m] = largest;
+        if at_end_m > MAX_SIGMA_M {
+            let sigma_m = at_end_m;
+            self.warnings
+                .push(OdometryWarning::EndUncertain { sigma_m });
+        } else if sigma_m > MAX_SIGMA_M {
+            let uncertain = OdometryWarning::StretchUncertain { at_s, sigma_m };
+            self.warnings.push(uncertain);
+        }
     }
 
     /// Adds what follows from the counts, in the order of its weight.
@@ -117,7 +154,6 @@ impl OdometryReport {
         let unseen = self.unseen.iter().cloned();
         self.warnings
             .extend(unseen.map(|stretch| OdometryWarning::Unseen { stretch }));
-        self.warnings.extend(self.end_uncertain());
         if self.has_rare_scans() {
             let interval_s = self.scan_interval_s;
             self.warnings

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::unseen::UnseenStretch;
 
+/// A loop that contradicts the odometry by more is none: twice what no loop is accepted beyond without a person's word, in standard deviations.
+const MOST_MISFIT_SIGMAS: f64 = 10.0;
+
 /// Something the reader of a trajectory should know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
@@ -28,6 +31,18 @@ pub enum OdometryWarning {
         from_s: f64,
         /// See `from_s`.
         to_s: f64,
+    },
+    /// The IMU measured nothing, or the same again and again.
+    ImuPause {
+        /// From when, seconds after the first scan of all.
+        from_s: f64,
+        /// Until when.
+        to_s: f64,
+    },
+    /// Loops were closed that contradict one another, or the odometry.
+    LoopMisfit {
+        /// How far the worst of them is from where the odometry had it, or still from what was measured, in standard deviations (a norm over six numbers).
+        sigmas: f64,
     },
     /// The recording ends within a scan, of which too little is there to find its place.
     Piece {
@@ -54,6 +69,20 @@ pub enum OdometryWarning {
     EndUncertain {
         /// Standard deviation of the last pose's place in its worst direction, metres.
         sigma_m: f64,
+    },
+    /// Somewhere on the way it is not known where the walk is, though it is at the end.
+    StretchUncertain {
+        /// When it is known worst, seconds after the first scan of all.
+        at_s: f64,
+        /// Standard deviation of the place there in its worst direction, metres.
+        sigma_m: f64,
+    },
+    /// For ten seconds little of the scans agrees with the map.
+    StretchDisagrees {
+        /// From when on, seconds after the first scan of all.
+        from_s: f64,
+        /// Mean share of the keypoints that agree.
+        share: f64,
     },
     /// Scans were empty, out of order, or before the first inertial sample.
     Skipped {
@@ -178,6 +207,18 @@ impl OdometryWarning {
                     "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion is the IMU's alone: no poses are written there, and what is behind may be off by what the IMU drifted"
                 ),
             ),
+            Self::ImuPause { from_s, to_s } => (
+                "imu-pause",
+                format!(
+                    "from {from_s:.1} to {to_s:.1} s the IMU measured nothing, or the same again and again: scans are predicted and deskewed there by what it said last, and may be wrong there and behind; check its cable (`lsfb doctor`), or run without the IMU"
+                ),
+            ),
+            Self::LoopMisfit { sigmas } => (
+                "loop-misfit",
+                format!(
+                    "a closed loop is {sigmas:.0} standard deviations off: it contradicts the odometry or the other loops, and the walk is bent by it; look for a false one"
+                ),
+            ),
             Self::Piece { share } => (
                 "last-piece",
                 format!(
@@ -201,6 +242,12 @@ impl OdometryWarning {
                 "end-uncertain",
                 format!(
                     "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not tell where the recording ends"
+                ),
+            ),
+            Self::StretchUncertain { at_s, sigma_m } => (
+                "stretch-uncertain",
+                format!(
+                    "at {at_s:.1} s the pose may be {sigma_m:.1} m off (one standard deviation), though the end is known: do not use what lies between"
                 ),
             ),
             Self::Skipped { skipped, scans } => (
@@ -278,6 +325,13 @@ impl OdometryWarning {
                     share * 100.0
                 ),
             ),
+            Self::StretchDisagrees { from_s, share } => (
+                "stretch-disagrees",
+                format!(
+                    "for ten seconds from {from_s:.1} s on only {:.0} % of a scan agrees with the map, where IMU and scans that fit each other have 80 % and more: poses there and behind may be wrong; did the IMU or the LiDAR slip, or was most of what it saw in motion?",
+                    share * 100.0
+                ),
+            ),
             Self::BeganUnfelt => (
                 "began-unfelt",
                 "at the start the carrier moved by its scans, and its IMU did not feel it, as of one that rolls evenly: the first second may be decimetres off, and all behind it with it; stand still for a second at the start, or begin in full stride"
@@ -307,6 +361,7 @@ impl OdometryWarning {
             | Self::ImuClock { .. }
             | Self::ScansApart { .. }
             | Self::Scale { .. } => Verdict::Fail,
+            Self::LoopMisfit { sigmas } if *sigmas > MOST_MISFIT_SIGMAS => Verdict::Fail,
             _ => Verdict::Warn,
         }
     }

@@ -182,7 +182,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         text + &sentences(&judgement) + marks.trim_end()
     })?;
     Ok(match Outcome::of(judgement.verdict()) {
-        Outcome::Done if !r.has_all_data() => Outcome::DataLost,
+        Outcome::Done if !r.is_whole() => Outcome::DataLost,
         outcome => outcome,
     })
 }
@@ -305,7 +305,8 @@ impl MapJob<'_> {
         provenance.write(self.out)?;
         if let Some(path) = self.out_trajectory {
             write_tum(path, &result.trajectory)?;
-            provenance.write(path)?;
+            let failures = result.map.failures().to_vec();
+            provenance.with_failures(failures).write(path)?;
         }
         let errors_px = result.report.reprojection_errors_px.iter();
         let said = Said {

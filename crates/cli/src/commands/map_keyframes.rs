@@ -113,6 +113,7 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
         "keyframes": all,
         "with_covariance": known.len(),
         "notes": &notes,
+        "failures": map.failures(),
     });
     context.print(&summary, || {
         let mut text = format!(
@@ -125,5 +126,5 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
         }
         text
     })?;
-    Ok(Outcome::Done)
+    Ok(super::map_tools::outcome_of(map, context))
 }

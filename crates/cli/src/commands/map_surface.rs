@@ -49,7 +49,7 @@ pub fn insert_scans(
     Ok((builder, inserted))
 }
 
-/// Refuses a trajectory that says itself, by the provenance beside it, that it is of another recording.
+/// Refuses a trajectory, or clouds, that say themselves, by the provenance beside them, that they are of another recording, or that they are wrong.
 pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
     let mut beside = trajectory.as_os_str().to_owned();
     beside.push(".provenance.json");
@@ -72,6 +72,12 @@ pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
         sources.keys().cloned().collect::<Vec<_>>().join(" and "),
         recording.display(),
         beside.display()
+    );
+    anyhow::ensure!(
+        of_trajectory.failures.is_empty(),
+        "{} is wrong by what was found when it was made ({}): what is made of it would be wrong too; mend that, and make it again",
+        trajectory.display(),
+        of_trajectory.failures.join("; ")
     );
     Ok(())
 }
@@ -99,5 +105,10 @@ mod tests {
         let error = check_source(&trajectory, &at("b.mcap")).expect_err("another's");
         let said = error.to_string();
         assert!(said.contains("made from a.mcap, not from"), "{said}");
+        // And one that failed is used for nothing.
+        let failed = provenance.with_failures(vec!["IMU: its axes are exchanged".to_owned()]);
+        failed.write(&trajectory).expect("a file");
+        let error = check_source(&trajectory, &at("a.mcap")).expect_err("failed");
+        assert!(error.to_string().contains("axes are exchanged"), "{error}");
     }
 }

@@ -282,6 +282,17 @@ fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     Some([median(values.clone())?, quantile(values, 0.95)?])
 }
 
+/// How a command ends that makes something else of a map: one that failed when it was made is as wrong in any other form.
+pub fn outcome_of(map: &HdMap, context: &Context) -> Outcome {
+    for what in map.failures() {
+        context.say(&format!("the map failed when it was made: {what}"));
+    }
+    match map.failures().is_empty() {
+        true => Outcome::Done,
+        false => Outcome::JudgementFailed,
+    }
+}
+
 fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
@@ -309,6 +320,7 @@ fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<
         "files": files.len(),
         "points": map.point_count(),
         "notes": &notes,
+        "failures": map.failures(),
     });
     context.print(&summary, || {
         let out = arguments.out.display();
@@ -318,7 +330,7 @@ fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<
         }
         text
     })?;
-    Ok(Outcome::Done)
+    Ok(outcome_of(&map, context))
 }
 
 /// The cameras of a rig as COLMAP describes them, its `rig_config.json`, and what neither can hold.
@@ -375,6 +387,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
         "points": part.point_count(),
         "of_points": map.point_count(),
         "keyframes": part.keyframe_count(),
+        "failures": part.failures(),
     });
     context.print(&summary, || {
         format!(
@@ -385,7 +398,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
             part.keyframe_count()
         )
     })?;
-    Ok(Outcome::Done)
+    Ok(outcome_of(&part, context))
 }
 
 fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcome> {
@@ -402,6 +415,7 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
         "points": merged.point_count(),
         "keyframes": merged.keyframe_count(),
         "report": &report,
+        "failures": merged.failures(),
         "first_from_second": { "translation_m": [t.x, t.y, t.z], "quaternion_xyzw": [q.i, q.j, q.k, q.w] },
     });
     context.print(&summary, || {
@@ -414,5 +428,5 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
             100.0 * report.worst_sigma_m
         )
     })?;
-    Ok(Outcome::Done)
+    Ok(outcome_of(&merged, context))
 }

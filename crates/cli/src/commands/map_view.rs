@@ -129,7 +129,10 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
             .trim_end()
             .to_owned()
     })?;
-    Ok(Outcome::of(judgement.verdict()))
+    Ok(match map.failures().is_empty() {
+        true => Outcome::of(judgement.verdict()),
+        false => super::map_tools::outcome_of(&map, context),
+    })
 }
 
 /// By how well each point is known, from that of half of the map to that of 95 %.

@@ -172,21 +172,11 @@ fn close(
     Ok(Some(close_loops(result, &loops, &progress)?))
 }
 
-/// Beyond this a closed loop is far from what was measured, in standard deviations of six numbers: one in a thousand.
-const MISFIT_SIGMAS: f64 = 4.7;
-
 fn about_loops(loops: &Closing) -> String {
-    let mut text = format!(
+    format!(
         "\n  {} loops closed, {} rejected; poses moved by {:.2} m at most",
         loops.accepted, loops.rejected, loops.moved_m
-    );
-    if loops.worst_sigmas > MISFIT_SIGMAS {
-        text += &format!(
-            "\n  a closed loop is still {:.0} standard deviations off: the loops contradict one another or the odometry, look for a false one",
-            loops.worst_sigmas
-        );
-    }
-    text
+    )
 }
 
 fn about_clouds(path: &Path, clouds: Option<&StoredReport>) -> String {
@@ -276,7 +266,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for input in arguments.rig.iter().chain(&arguments.loops) {
         provenance.add_input(input)?;
     }
-    provenance.write(&arguments.out)?;
+    let findings = found.result.report.warnings.iter().map(|w| w.finding());
+    let failures = findings.filter(|finding| finding.verdict == Verdict::Fail);
+    let failures = failures.map(|failure| failure.sentence()).collect();
+    provenance.with_failures(failures).write(&arguments.out)?;
     let clouds = store(arguments, &config, &found.result, context)?;
     if let (Some(path), Some(_)) = (&arguments.out_clouds, &clouds) {
         provenance.write(path)?;

@@ -1,6 +1,9 @@
 //! A walk around an office that comes back to where it began.
 
+use lsfb_types::Verdict;
+
 use super::*;
+use crate::odometry::OdometryWarning;
 
 fn drift(_: usize) -> Vector6<f64> {
     // Turns by a quarter of a degree and climbs by 20 cm in 100 m: that is seen where the way ends. Half of what it is long or short by
@@ -78,4 +81,29 @@ fn one_false_loop_among_true_ones_is_rejected() {
     let rejected = LoopVerdict::Rejected(LoopRejection::ContradictsLoops);
     assert_eq!(loops.all.last().map(|l| l.verdict), Some(rejected));
     assert_eq!(loops.accepted().count(), accepted - 1);
+}
+
+/// What a person accepts is closed, though it bends the walk; the odometry knew better.
+#[test]
+fn a_loop_that_contradicts_the_odometry_fails_the_walk() {
+    let stops = stops(&AROUND, 0.5, 0.0);
+    let clouds = seen(&office(), &stops);
+    let mut result = walk(&clouds, &stops, drift, &sigma());
+    let mut loops = found(&result);
+    let right = {
+        let mut closed = result.clone();
+        close_loops(&mut closed, &loops, &lsfb_types::no_progress).expect("closed");
+        closed.report.warnings
+    };
+    let is_misfit = |w: &&OdometryWarning| matches!(w, OdometryWarning::LoopMisfit { .. });
+    assert_eq!(right.iter().filter(is_misfit).count(), 0, "{right:?}");
+    let mut first = loops.accepted().next().expect("a loop").clone();
+    first.earlier = result.scan_poses[20].pose.time;
+    first.later = result.scan_poses[120].pose.time;
+    first.scores.odometry_sigmas = Some(60.0);
+    loops.all.push(first);
+    close_loops(&mut result, &loops, &lsfb_types::no_progress).expect("closed");
+    let misfit = result.report.warnings.iter().find(is_misfit);
+    let verdict = misfit.map(|w| w.finding().verdict);
+    assert_eq!(verdict, Some(Verdict::Fail));
 }

@@ -2,6 +2,7 @@
 
 use lsfb_geometry::{RigLidar, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
 use lsfb_perception::statistics::median;
+use lsfb_types::Timestamp;
 
 use super::{DeskewedCloud, OdometryResult, ScanPose};
 use crate::Error;
@@ -26,7 +27,8 @@ pub(super) struct Found {
     unseen: UnseenStretches,
     clouds: Vec<DeskewedCloud>,
     pub report: OdometryReport,
-    inlier_ratios: f64,
+    /// Share of each registered scan's keypoints that agreed with the map, and when.
+    agreed: Vec<(Timestamp, f64)>,
     plane_squares: f64,
     measured: u64,
 }
@@ -98,7 +100,7 @@ impl Found {
             let along = unseen.map(|u| u.direction_in_world);
             self.unseen_shifts.push(along);
             self.measured += 1;
-            self.inlier_ratios += step.inlier_ratio;
+            self.agreed.push((step.time, step.inlier_ratio));
             self.plane_squares += step.plane_rms_m * step.plane_rms_m;
         }
         let points = step.keypoints_in_rig.iter();
@@ -148,20 +150,40 @@ impl Found {
         report.gaps = gaps(&scan_poses, longest_s);
         let trajectory = Trajectory::new(poses);
         let measured = self.measured.max(1) as f64;
-        report.path_length_m = trajectory.path_length_m();
-        report.mean_inlier_ratio = self.inlier_ratios / measured;
+        let all_agreed = self.agreed.iter().map(|(_, share)| share);
+        report.mean_inlier_ratio = all_agreed.sum::<f64>() / measured;
+        report.least_agreement = least_agreement(&self.agreed);
         report.plane_rms_m = (self.plane_squares / measured).sqrt();
         report.unseen = self.unseen.finish(&level);
-        report.sigma_at_end_m = scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
         report.add_warnings();
-        OdometryResult {
+        let mut result = OdometryResult {
             trajectory,
             scan_poses,
             clouds: self.clouds,
             lidar: lidar.clone(),
             report,
-        }
+        };
+        result.summarise();
+        result
     }
+}
+
+/// A stretch over which the agreement of scans with the map is averaged, seconds; scans it must have.
+const STRETCH_S: f64 = 10.0;
+const LEAST_SCANS: usize = 5;
+
+/// Where scans agree least with the map, over ten seconds: seconds after the first, share of their keypoints.
+fn least_agreement(agreed: &[(Timestamp, f64)]) -> Option<[f64; 2]> {
+    let (start, _) = agreed.first()?;
+    let stretches = (0..agreed.len()).filter_map(|first| {
+        let (from, _) = agreed[first];
+        let inside = agreed[first..].iter();
+        let inside = inside.take_while(|(time, _)| time.secs_since(from) < STRETCH_S);
+        let shares: Vec<f64> = inside.map(|(_, share)| *share).collect();
+        let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+        (shares.len() >= LEAST_SCANS).then(|| [from.secs_since(*start), mean])
+    });
+    stretches.min_by(|a, b| a[1].total_cmp(&b[1]))
 }
 
 /// Where no scan has a pose for longer: from and until when, seconds after the first scan.
@@ -192,7 +214,6 @@ fn usual_interval_s(scan_poses: &[ScanPose]) -> f64 {
 #[cfg(test)]
 mod tests {
     use lsfb_geometry::Matrix6;
-    use lsfb_types::Timestamp;
 
     use super::*;
 

@@ -16,6 +16,7 @@ use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp}
 
 use super::agreement::{Scans, contradictions, is_told_along, lay};
 use super::imu_check::{ImuUnits, mend_units};
+use super::imu_pauses::imu_pauses;
 use super::point_clock::{PointClock, TimedScan};
 use super::range_check::RangeCheck;
 use super::report::OdometryReport;
@@ -102,8 +103,18 @@ impl OdometryResult {
     /// Says in the report what follows from poses that were changed.
     pub(crate) fn summarise(&mut self) {
         self.report.path_length_m = self.trajectory.path_length_m();
-        let sigma_m = self.scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
-        self.report.set_sigma_at_end(sigma_m);
+        let start = self.scan_poses.first().map(|scan| scan.pose.time);
+        let sigmas = self.scan_poses.iter().map(|scan| {
+            let at_s = start.map_or(0.0, |start| scan.pose.time.secs_since(start));
+            [at_s, scan.worst_sigma_m()]
+        });
+        let at_end_m = sigmas
+            .clone()
+            .next_back()
+            .map_or(0.0, |[_, sigma_m]| sigma_m);
+        let largest = sigmas.max_by(|a, b| a[1].total_cmp(&b[1]));
+        self.report
+            .set_sigmas(at_end_m, largest.unwrap_or_default());
     }
 }
 
@@ -257,6 +268,10 @@ impl OdometryRun {
                 is_told_along(&by_scans, &unseen, &self.samples, along)
             });
             lay_scans(&mut result, &self.config);
+            let walk: Vec<_> = result.scan_poses.iter().map(|scan| scan.pose).collect();
+            result
+                .report
+                .set_imu_pauses(imu_pauses(&self.samples, &walk));
         }
         let little = result.report.little_agreement();
         result.report.warnings.extend(little);

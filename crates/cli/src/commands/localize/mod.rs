@@ -184,11 +184,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             "{} damaged images or messages were left out",
             found.damaged
         ));
-        return Ok(Outcome::DataLost);
     }
-    Ok(match summary.map_failures.is_empty() {
-        true => Outcome::Done,
-        false => Outcome::JudgementFailed,
+    Ok(match (summary.map_failures.is_empty(), found.damaged) {
+        (false, _) => Outcome::JudgementFailed,
+        (true, 0) => Outcome::Done,
+        (true, _) => Outcome::DataLost,
     })
 }
 
