@@ -30,5 +30,6 @@ mod solve;
 pub mod stored_clouds;
 pub mod surface;
 pub mod two_view;
+mod worst_sigma;
 
 pub use error::{Error, MapShortage};

@@ -86,7 +86,7 @@ pub struct GroundTruthConfig {
     pub max_bridge_secs: f64,
     /// Longest such stretch at the beginning and end, seconds.
     pub max_extrapolation_secs: f64,
-    /// Largest standard deviation of a position that is exported, metres.
+    /// Largest standard deviation, in its worst direction, of a position that is exported, metres.
     pub max_position_sigma_m: f64,
     /// How far half of the map's points may move a position that is exported, metres.
     pub max_disagreement_m: f64,

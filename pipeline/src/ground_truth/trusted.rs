@@ -6,8 +6,9 @@ use super::GroundTruthConfig;
 use super::in_view::InView;
 use super::report::{LeftOutReason, Span};
 use super::walk::{FrameState, Walk};
+use crate::worst_sigma::worst_sigmas;
 
-/// Largest standard deviation of an attitude that is exported, radians. With an IMU none comes near it; of images alone it leaves out what is between
+/// Largest standard deviation, in the worst direction, of an attitude that is exported, radians. With an IMU none comes near it; of images alone it leaves out what is between
 /// those that see enough, where a body may have turned anyhow.
 const MAX_ROTATION_SIGMA_RAD: f64 = 0.02;
 
@@ -133,6 +134,6 @@ fn reasons(
 }
 
 fn is_certain(covariance: &Matrix6<f64>, config: &GroundTruthConfig) -> bool {
-    let sigma = |first: usize| (covariance.fixed_view::<3, 3>(first, first).trace() / 3.0).sqrt();
-    sigma(0) <= MAX_ROTATION_SIGMA_RAD && sigma(3) <= config.max_position_sigma_m
+    let [rotation_rad, place_m] = worst_sigmas(covariance);
+    rotation_rad <= MAX_ROTATION_SIGMA_RAD && place_m <= config.max_position_sigma_m
 }

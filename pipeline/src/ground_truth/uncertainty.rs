@@ -122,11 +122,20 @@ fn information_of(sigmas: &CameraCorrection) -> CorrectionMatrix {
     CorrectionMatrix::from_diagonal(&sigmas.map(|sigma| sigma.powi(-2)))
 }
 
-/// Where a point of the map is: with the covariance that the map states, and `shown_m` in each direction by what the walk shows.
+/// How well a point is known that the map does not determine, of how well one is that it states nothing of.
+const NEXT_TO_NOTHING: f64 = 1e-3;
+
+/// Where a point of the map is: with the covariance that the map states, and `shown_m` in each direction by what the walk shows. Of one that the map does not
+/// determine next to nothing is known.
 fn map_point_prior(walk: &Walk, seen: &FixedObservation, shown_m: f64) -> VectorPrior<3> {
     let shown = Matrix3::from_diagonal_element(shown_m.powi(2));
     let stated = walk.point_covariances_m2.get(&seen.point);
-    let stated = stated.filter(|c| c.iter().all(|v| v.is_finite()));
+    if stated.is_some_and(|c| c.iter().any(|v| !v.is_finite())) {
+        return VectorPrior {
+            value: seen.point_in_world,
+            sqrt_information: Matrix3::from_diagonal_element(NEXT_TO_NOTHING / shown_m),
+        };
+    }
     let factor = stated.and_then(|stated| (stated + shown).cholesky());
     let sqrt_information =
         factor.and_then(|factor| factor.l().solve_lower_triangular(&Matrix3::identity()));

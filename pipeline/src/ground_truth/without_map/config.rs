@@ -20,7 +20,7 @@ pub struct MotionConfig {
     /// How many times larger the IMU's noise is taken for the covariances where too little is followed for longer than that: no track
     /// corrects its scale, axes and clock there.
     pub blind_imu_noise_factor: f64,
-    /// Largest standard deviation, relative to the first pose, of a position that is exported, metres.
+    /// Largest standard deviation, in its worst direction and relative to the first pose, of a position that is exported, metres.
     pub max_position_sigma_m: f64,
     /// Share of the followed sights that fit no point beyond which the walk is doubtful.
     pub doubtful_contradicted_share: f64,

@@ -12,6 +12,7 @@ use crate::ground_truth::report::{
     CameraRefinement, GroundTruthWarning, LeftOutReason, ReprojectionErrors, Span,
 };
 use crate::preintegration::{ImuBias, PreintegratedImu};
+use crate::worst_sigma::worst_sigmas;
 
 /// What was read, and what could not be.
 #[derive(Default)]
@@ -68,9 +69,10 @@ pub struct MotionReport {
     pub warnings: Vec<GroundTruthWarning>,
 }
 
-/// Root mean square of a position's standard deviations along the axes, metres.
+/// Standard deviation of a position in its worst direction, metres.
 fn position_sigma_m(covariance: &Matrix6<f64>) -> f64 {
-    (covariance.fixed_view::<3, 3>(3, 3).trace() / 3.0).sqrt()
+    let [_, place_m] = worst_sigmas(covariance);
+    place_m
 }
 
 /// What has no place in the trajectory.

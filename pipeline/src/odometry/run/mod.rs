@@ -8,7 +8,7 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::vec::IntoIter;
 
-use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
@@ -23,6 +23,7 @@ use super::report::OdometryReport;
 use super::warning::OdometryWarning;
 use super::{Odometry, OdometryConfig};
 use crate::Error;
+use crate::worst_sigma::worst_sigmas;
 pub(crate) use damages::Damages;
 use found::Found;
 
@@ -121,8 +122,8 @@ impl OdometryResult {
 impl ScanPose {
     /// Standard deviation of the place in its worst direction, metres.
     fn worst_sigma_m(&self) -> f64 {
-        let place: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(3, 3).into();
-        place.symmetric_eigenvalues().max().max(0.0).sqrt()
+        let [_, place_m] = worst_sigmas(&self.covariance);
+        place_m
     }
 }
 
