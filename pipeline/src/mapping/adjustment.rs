@@ -8,6 +8,7 @@ use lsfb_perception::RelativePose;
 use lsfb_solver::{Block, Kernel, Problem, Report};
 use lsfb_types::ProgressFn;
 
+use super::control::{ControlBlocks, ControlTerms, SolvedControl, add_control};
 use super::keyframes::Keyframes;
 use super::scan_pairs::ScanPair;
 use super::weights::Weights;
@@ -24,6 +25,8 @@ pub(super) struct Terms<'a> {
     /// The keyframes where the odometry had them.
     pub odometry: &'a [StampedPose],
     pub weights: Weights,
+    /// Control points that hold the map, or marks that are placed.
+    pub control: Option<&'a ControlTerms<'a>>,
 }
 
 /// Eq. (4) at the poses and points at hand.
@@ -33,6 +36,8 @@ pub(super) struct Equation {
     pub poses: Vec<Block<Se3>>,
     /// The points.
     pub points: Vec<Block<Vector3<f64>>>,
+    /// What control points bring, where there are any.
+    pub control: Option<ControlBlocks>,
 }
 
 /// Minimises Eq. (4); `keyframes` and `points` take the result.
@@ -43,11 +48,12 @@ pub(super) fn adjust(
     terms: &Terms,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<Report, Error> {
+) -> Result<(Report, Option<SolvedControl>), Error> {
     let Equation {
         mut problem,
         poses,
         points: blocks,
+        control,
     } = equation(rig, keyframes, points, terms, config)?;
     let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
     for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
@@ -56,7 +62,9 @@ pub(super) fn adjust(
     for (point, block) in points.iter_mut().zip(&blocks) {
         point.point_in_world = problem.value(*block);
     }
-    Ok(report)
+    let control = control.zip(terms.control);
+    let control = control.and_then(|(blocks, terms)| blocks.solved(&problem, terms));
+    Ok((report, control))
 }
 
 /// Sets up Eq. (4).
@@ -94,7 +102,10 @@ pub(super) fn equation(
             problem.add_residual(residual, &[poses[image.keyframe].id(), block.id()], kernel)?;
         }
     }
+    let control = terms.control;
+    let control = control.map(|terms| add_control(&mut problem, &observing, &poses, terms));
     Ok(Equation {
+        control: control.transpose()?,
         problem,
         poses,
         points: blocks,

@@ -210,6 +210,7 @@ pub fn refine_scan_poses(
                     contradicted: Contradicted::default(),
                     ..Weights::estimate(&lidar, &[], &settings.correlation)
                 },
+                control: None,
             };
             let before = keyframes.poses();
             adjust(&rig, &mut keyframes, &mut [], &terms, &settings, progress)?;
