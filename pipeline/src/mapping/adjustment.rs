@@ -10,18 +10,18 @@ use lsfb_types::ProgressFn;
 
 use super::control::{ControlBlocks, ControlTerms, SolvedControl, add_control};
 use super::keyframes::Keyframes;
-use super::scan_pairs::ScanPair;
+use super::matched::{MatchedEdge, MatchedPlane};
+use super::scan_pairs::Compared;
 use super::weights::Weights;
 use super::{MappingConfig, TermConfig};
 use crate::Error;
 use crate::hd_map::MapPoint;
-use crate::lidar_features::Correspondences;
-use crate::residuals::{LidarEdge, LidarPlane, ObservingCamera, Reprojection};
+use crate::residuals::{ObservingCamera, Reprojection};
 use crate::solve::solve_or_stop;
 
 /// What is minimised besides the reprojection errors of the points, and how much each term weighs.
 pub(super) struct Terms<'a> {
-    pub scans: &'a [(ScanPair, Correspondences)],
+    pub scans: &'a [Compared],
     /// The keyframes where the odometry had them.
     pub odometry: &'a [StampedPose],
     pub weights: Weights,
@@ -152,20 +152,18 @@ fn add_scans(
     let kernel = Kernel::Cauchy { scale: 2.0 };
     for (pair, found) in terms.scans {
         let blocks = [poses[pair.m].id(), poses[pair.n].id()];
-        for f in found.planes.iter().filter(|_| taken.planes) {
-            let residual = LidarPlane {
-                point_in_n: f.point_in_n,
-                point_in_m: f.plane_in_m.point,
-                normal_in_m: f.plane_in_m.normal,
+        for number in (0..found.planes.len() as u32).filter(|_| taken.planes) {
+            let residual = MatchedPlane {
+                found: found.clone(),
+                number,
                 sigma_m: weights.plane_sigma_m,
             };
             problem.add_residual(residual, &blocks, kernel)?;
         }
-        for f in found.edges.iter().filter(|_| taken.edges) {
-            let residual = LidarEdge {
-                point_in_n: f.point_in_n,
-                point_in_m: f.edge_in_m.point,
-                direction_in_m: f.edge_in_m.direction,
+        for number in (0..found.edges.len() as u32).filter(|_| taken.edges) {
+            let residual = MatchedEdge {
+                found: found.clone(),
+                number,
                 sigma_m: weights.edge_sigma_m,
             };
             problem.add_residual(residual, &blocks, kernel)?;

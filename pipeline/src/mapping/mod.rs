@@ -8,6 +8,7 @@ mod image_check;
 mod kept;
 mod keyframe_scans;
 mod keyframes;
+mod matched;
 mod pose_covariance;
 mod posed_scans;
 mod report;

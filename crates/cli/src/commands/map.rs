@@ -16,6 +16,7 @@ use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::map_control;
 use super::map_distances::MarkedDistances;
 use super::map_report::{MapPage, coverage, findings};
 use super::map_surface::check_source;
@@ -190,7 +191,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.reprojection_rms_before_px
         );
         let marks = marked.map_or_else(String::new, |m| format!("\n\n{}", m.text()));
-        text + &sentences(&judgement) + marks.trim_end()
+        let control = r.control.as_ref();
+        let control = control.map_or_else(String::new, |c| format!("\n\n{}", map_control::text(c)));
+        text + &sentences(&judgement) + control.trim_end() + marks.trim_end()
     })?;
     Ok(match Outcome::of(judgement.verdict()) {
         Outcome::Done if !r.has_all_data() => Outcome::DataLost,
