@@ -5,8 +5,10 @@
 //! test of Baarda (1968) in three dimensions. The worst is left out while one is beyond the limit. Then those that the rest does not contradict come back: two
 //! blunders make right marks look wrong.
 //!
-//! Where five or more that agree are still farther from the map than it says it is known, the map is taken to be worse known by that factor (a start that drifts where nothing
-//! corrected it), and the search begins anew.
+//! Many marks that are a little off are a map that is worse known than it says (a start that drifts where nothing corrected it); a few that are far off are blunders. So the same is
+//! done with the map worse known by some factors, and of all these the likeliest counts, where five or more marks agree in it.
+
+use std::f64::consts::TAU;
 
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Matrix3, Se3, Vector3, Vector6};
@@ -17,11 +19,12 @@ use super::{FEWEST, TELLING};
 
 /// Steps of the fit: the first transform is right to how far the map is bent.
 const STEPS: usize = 5;
-/// The factor of the map and the marks that agree are found in turn.
-const ROUNDS: usize = 4;
-/// A map of centimetres is not so far off, and steps towards the factor.
-const MOST_FACTOR: f64 = 1e3;
-const HALVINGS: usize = 20;
+/// Factors by which a map may be worse known than it says: powers of this.
+const FACTOR_STEP: f64 = 1.25;
+const FACTOR_STEPS: i32 = 30;
+/// A blunder lies anywhere within this along each axis, metres, and one of so many marks is one.
+const BLUNDER_M: f64 = 1.0;
+const BLUNDER_SHARE: f64 = 0.05;
 /// Directions of an error that the others tell worse than this many metres are not told.
 const UNTOLD_M: f64 = 1e3;
 
@@ -72,16 +75,21 @@ pub(super) fn snoop(
         covariance_m2,
         map_factor: 1.0,
     };
-    let mut found = network.agreeing(limit_sigmas)?;
-    for _ in 0..ROUNDS {
-        network.map_factor = network.factor_of(&found.0)?;
-        let anew = network.agreeing(limit_sigmas)?;
-        let rests = anew.0 == found.0;
-        found = anew;
-        if rests {
-            break;
+    let mut best = network.agreeing(limit_sigmas)?;
+    let mut least = network.unlikely(&best);
+    for step in 1..=FACTOR_STEPS {
+        let worse = Network {
+            map_factor: FACTOR_STEP.powi(step),
+            ..network
+        };
+        let found = worse.agreeing(limit_sigmas)?;
+        let unlikely = worse.unlikely(&found);
+        if found.0.len() >= TELLING && unlikely < least {
+            (best, least) = (found, unlikely);
+            network.map_factor = worse.map_factor;
         }
     }
+    let found = best;
     let (holding, fit) = found;
     Some(Snooped {
         site_from_world: fit.site_from_world,
@@ -142,31 +150,11 @@ impl Network<'_> {
         Some((holding, fit))
     }
 
-    /// The factor with which residuals of marks are what they should be; 1 where they are not larger, and where too few tell.
-    fn factor_of(&self, holding: &[usize]) -> Option<f64> {
-        let sigma0 = |map_factor: f64| {
-            Some(
-                Network {
-                    map_factor,
-                    ..*self
-                }
-                .fit(holding)?
-                .sigma0(),
-            )
-        };
-        let alone = sigma0(1.0)?;
-        if alone <= 1.0 || holding.len() < TELLING {
-            return Some(1.0);
-        }
-        let (mut low, mut high) = (1.0, MOST_FACTOR);
-        for _ in 0..HALVINGS {
-            let middle = f64::sqrt(low * high);
-            match sigma0(middle)? > 1.0 {
-                true => low = middle,
-                false => high = middle,
-            }
-        }
-        Some(high)
+    /// Minus twice the logarithm of how likely the marks are: those that hold by map and survey, each of the others anywhere near.
+    fn unlikely(&self, (holding, fit): &(Vec<usize>, Fit)) -> f64 {
+        let left_out = (self.marks.len() - holding.len()) as f64;
+        let as_normal = fit.log_determinant + fit.squares() + fit.residuals.len() as f64 * TAU.ln();
+        as_normal + left_out * (6.0 * (2.0 * BLUNDER_M).ln() - 2.0 * BLUNDER_SHARE.ln())
     }
 }
 
@@ -177,6 +165,8 @@ struct Fit {
     residuals: DVector<f64>,
     /// Inverse of their covariance, with the transform free: `D⁻¹ − D⁻¹ A (Aᵀ D⁻¹ A)⁻¹ Aᵀ D⁻¹`.
     weights: DMatrix<f64>,
+    /// Of that covariance.
+    log_determinant: f64,
 }
 
 impl Network<'_> {
@@ -186,7 +176,9 @@ impl Network<'_> {
         let mut site_from_world = umeyama(&world, &site, Scale::Fixed)?.target_from_source;
         let mut last = None;
         for _ in 0..STEPS {
-            let inverse = self.spread(holding, &site_from_world)?.inverse();
+            let spread = self.spread(holding, &site_from_world)?;
+            let log_determinant = 2.0 * spread.l_dirty().diagonal().map(f64::ln).sum();
+            let inverse = spread.inverse();
             let mut by_site = DMatrix::zeros(3 * holding.len(), 6);
             let mut residuals = DVector::zeros(3 * holding.len());
             for (k, mark) in chosen().enumerate() {
@@ -203,6 +195,7 @@ impl Network<'_> {
             last = Some(Fit {
                 site_from_world,
                 residuals,
+                log_determinant,
                 weights: inverse - &weighted * inner * weighted.transpose(),
             });
             site_from_world = site_from_world.retract(&-normal.solve(&right));
@@ -242,9 +235,13 @@ impl Network<'_> {
 }
 
 impl Fit {
-    /// Squares of the residuals against what they should be.
+    fn squares(&self) -> f64 {
+        self.residuals.dot(&(&self.weights * &self.residuals))
+    }
+
+    /// How many times as large the residuals are as they should be.
     fn sigma0(&self) -> f64 {
-        let squares = self.residuals.dot(&(&self.weights * &self.residuals));
+        let squares = self.squares();
         // As many as there are more numbers than the six of the transform.
         let spare = self.residuals.len().saturating_sub(6).max(1);
         (squares / spare as f64).max(0.0).sqrt()
