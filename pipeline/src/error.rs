@@ -532,6 +532,22 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// A line of a list of control points cannot be used.
+    #[error("{path}:{line}: {reason}", path = path.display())]
+    ControlPointLine {
+        /// The file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Control points cannot hold a map.
+    #[error("control points: {reason}")]
+    ControlPoints {
+        /// What is missing, and what to do.
+        reason: String,
+    },
     /// A trajectory to start from is not that of the recording.
     #[error("{path}: {share:.0} % of its scans lie within the trajectory to start from: give one of this very recording", path = path.display(), share = 100.0 * share)]
     StartElsewhere {

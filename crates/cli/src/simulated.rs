@@ -154,6 +154,9 @@ pub fn prepare(
     ] {
         crate::files::write(&layout.file(name), text)?;
     }
+    if !marks.control_points.is_empty() {
+        crate::files::write(&layout.file("control_points.csv"), marks.control_points)?;
+    }
     simulation.write_truth(&layout.truth())?;
     crate::files::write(&layout.truth().join("truth_marks.survey"), marks.survey)?;
     Ok(simulation)

@@ -1,10 +1,10 @@
 //! Marks on walls and furniture that somebody clicks in images of the scanner and measures between with a tape, as for Table II of the paper.
 //!
-//! The clicks are somebody's work and lie beside the recording; what the tape says is truth.
+//! The clicks are somebody's work and lie beside the recording, as are the coordinates of every other mark by a total station; what the tape says is truth.
 
 use std::fmt::Write as _;
 
-use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_geometry::{Camera, Se3, Vector2, Vector3, so3};
 
 use crate::noise::{below, next_gaussian, stream, unit};
 use crate::simulation::Simulation;
@@ -21,6 +21,11 @@ const LEAST_VIEWS: usize = 5;
 const CLICK_SIGMA_PX: f64 = 0.5;
 /// How well is measured, metres, 1 σ.
 const TAPE_SIGMA_M: f64 = 0.001;
+/// How well a total station measures, metres along each axis, 1 σ.
+const STATION_SIGMA_M: f64 = 0.003;
+/// Where the frame of the total station has the origin of the world, metres, and by how much it is turned, radians.
+const STATION_ORIGIN_M: [f64; 3] = [1204.0, 787.0, 112.0];
+const STATION_TURN_RAD: f64 = 0.6;
 /// Marks are chosen in this range, and clicked up to the larger one, metres.
 const CHOSEN_M: std::ops::Range<f64> = 1.0..8.0;
 const CLICKED_M: f64 = 10.0;
@@ -40,6 +45,9 @@ pub struct Marks {
     pub clicks: String,
     /// What a tape says of the distances between all of them: a survey, as `lsfb survey` reads it.
     pub survey: String,
+    /// Coordinates of every other mark by a total station, in a frame of its own, as `lsfb map --control-points` reads them; empty where there are fewer than
+    /// three.
+    pub control_points: String,
 }
 
 /// A camera at the moment of an image.
@@ -118,7 +126,11 @@ impl Simulation {
                 let _ = writeln!(survey, "distance m{a} m{b} {read_m:.4}");
             }
         }
-        Marks { clicks, survey }
+        Marks {
+            clicks,
+            survey,
+            control_points: control_points(rig.seed(), &places),
+        }
     }
 
     /// What a pixel shows, where that is near enough to be measured and no glass.
@@ -154,6 +166,26 @@ impl Simulation {
             direction,
         })
     }
+}
+
+fn control_points(seed: u64, places: &[Vector3<f64>]) -> String {
+    let chosen = places.iter().enumerate().step_by(2);
+    if chosen.len() < 3 {
+        return String::new();
+    }
+    let dice = stream(seed, "control points", 0);
+    let turn = so3::exp(&(Vector3::z() * STATION_TURN_RAD));
+    let mut text = String::from("mark,x_m,y_m,z_m,sigma_m\n");
+    for (number, place) in chosen {
+        let noise = [(); 3].map(|()| STATION_SIGMA_M * next_gaussian(&dice));
+        let read = turn * place + Vector3::from(STATION_ORIGIN_M) + Vector3::from(noise);
+        let _ = writeln!(
+            text,
+            "m{number},{:.4},{:.4},{:.4},{STATION_SIGMA_M}",
+            read.x, read.y, read.z
+        );
+    }
+    text
 }
 
 fn narrow(v: &Vector3<f64>) -> [f32; 3] {

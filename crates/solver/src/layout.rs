@@ -63,9 +63,12 @@ pub(crate) enum Pattern {
 pub(crate) struct Layout {
     /// Residuals in the order in which they are evaluated: those of each point together, then the others.
     pub order: Vec<u32>,
-    /// Slots of the residual at position `k`: `slot_start[k]..slot_start[k + 1]`; its record likewise.
+    /// Slots of the residuals. Those without a point that touch the same blocks as the one before have the same slots: a long walk's map compares two scans by a
+    /// thousand residuals.
     pub slots: Vec<Slot>,
-    pub slot_start: Vec<usize>,
+    /// Range of the slots of the residual at each position.
+    slot_ranges: Vec<[u32; 2]>,
+    /// Record of the residual at position `k`: `record_start[k]..record_start[k + 1]`.
     pub record_start: Vec<usize>,
     /// First position of each point's residuals; one more entry: the first position without a point.
     pub point_first: Vec<usize>,
@@ -173,7 +176,7 @@ impl Layout {
         let mut layout = Self {
             order: Vec::new(),
             slots: Vec::with_capacity(problem.block_lists.len()),
-            slot_start: vec![0],
+            slot_ranges: Vec::new(),
             record_start: vec![0],
             point_first: Vec::new(),
             by_reduced: Groups::empty(reduced.len()),
@@ -222,8 +225,22 @@ impl Layout {
     }
 
     fn place_records(&mut self, problem: &Problem) -> Result<(), Error> {
-        for &k in &self.order {
-            let dimension = problem.residuals[k as usize].dimension;
+        let alone = self.point_first[self.points.len()];
+        self.slot_ranges.reserve_exact(self.order.len());
+        self.record_start.reserve_exact(self.order.len());
+        for (position, &k) in self.order.iter().enumerate() {
+            let entry = &problem.residuals[k as usize];
+            if position > alone {
+                let before = &problem.residuals[self.order[position - 1] as usize];
+                if before.blocks == entry.blocks && before.dimension == entry.dimension {
+                    let length = self.record_start[position] - self.record_start[position - 1];
+                    self.slot_ranges.push(self.slot_ranges[position - 1]);
+                    self.record_start.push(self.record_start[position] + length);
+                    continue;
+                }
+            }
+            let first = self.slots.len() as u32;
+            let dimension = entry.dimension;
             let mut next = dimension;
             for block in problem.blocks_of(ResidualId(k as usize)) {
                 let entry = &problem.blocks[block.0];
@@ -246,7 +263,7 @@ impl Layout {
             if next.max(self.slots.len()).max(problem.blocks.len()) >= CONSTANT as usize {
                 return Err(self.too_large(next));
             }
-            self.slot_start.push(self.slots.len());
+            self.slot_ranges.push([first, self.slots.len() as u32]);
             self.record_start
                 .push(self.record_start[self.record_start.len() - 1] + next);
         }
@@ -256,8 +273,7 @@ impl Layout {
     fn pair(&mut self) -> Result<(), Error> {
         let mut seen: Vec<u32> = Vec::new();
         for p in 0..self.points.len() {
-            let slots =
-                self.slot_start[self.point_first[p]]..self.slot_start[self.point_first[p + 1]];
+            let slots = self.slots_of_point(p);
             seen.clear();
             seen.extend(self.slots[slots.clone()].iter().filter_map(|slot| {
                 match self.parts[slot.block as usize] {
@@ -298,8 +314,9 @@ impl Layout {
 
     fn gather(&mut self) {
         let this = &*self;
-        let incidences = (0..this.order.len()).flat_map(move |k| {
-            let slots = this.slot_start[k]..this.slot_start[k + 1];
+        let is_first = |k: &usize| *k == 0 || this.slot_ranges[*k] != this.slot_ranges[*k - 1];
+        let incidences = (0..this.order.len()).filter(is_first).flat_map(move |k| {
+            let slots = this.slot_range(k);
             slots.filter_map(
                 move |slot| match this.parts[this.slots[slot].block as usize] {
                     Part::Reduced(i) => Some((
@@ -397,7 +414,7 @@ impl Layout {
             for incidence in self.by_reduced.get(i) {
                 let first = couplings.len() as u32;
                 let position = incidence.position as usize;
-                for slot in &self.slots[self.slot_start[position]..self.slot_start[position + 1]] {
+                for slot in &self.slots[self.slot_range(position)] {
                     if let Part::Reduced(j) = self.parts[slot.block as usize]
                         && j > i
                     {
@@ -444,9 +461,23 @@ impl Layout {
         self.row_start[self.reduced.len()]
     }
 
+    fn slot_range(&self, position: usize) -> Range<usize> {
+        let [first, end] = self.slot_ranges[position];
+        first as usize..end as usize
+    }
+
+    /// Slots of the residuals of a point, which lie side by side.
+    fn slots_of_point(&self, point: usize) -> Range<usize> {
+        let positions = self.point_first[point]..self.point_first[point + 1];
+        match positions.clone().last() {
+            Some(last) => self.slot_range(positions.start).start..self.slot_range(last).end,
+            None => 0..0,
+        }
+    }
+
     /// Slots of the residual at a position.
     pub fn slots_of(&self, position: usize) -> &[Slot] {
-        &self.slots[self.slot_start[position]..self.slot_start[position + 1]]
+        &self.slots[self.slot_range(position)]
     }
 
     /// Tangent dimension of a reduced block.

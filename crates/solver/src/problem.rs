@@ -109,8 +109,8 @@ pub(crate) struct ResidualEntry {
     pub residual: Option<Arc<dyn Residual>>,
     pub dimension: usize,
     pub kernel: Kernel,
-    /// Range of its blocks in `block_lists`.
-    pub first_block: usize,
+    /// Range of its blocks in `block_lists`; the same as that of the residual before it where these are the same.
+    pub blocks: [u32; 2],
 }
 
 /// Range of one component of a vector block.
@@ -329,13 +329,27 @@ impl Problem {
         let index = self.residuals.len();
         self.check_blocks(index, &residual, blocks)?;
         kernel.check()?;
-        let first_block = self.block_lists.len();
-        self.block_lists.extend_from_slice(blocks);
+        let last = index.checked_sub(1).map(ResidualId);
+        let list = match last.filter(|last| self.blocks_of(*last) == blocks) {
+            Some(last) => self.residuals[last.0].blocks,
+            None => {
+                let first = self.block_lists.len();
+                let end = first + blocks.len();
+                let [Ok(first), Ok(end)] = [first, end].map(u32::try_from) else {
+                    return Err(Error::TooLarge {
+                        dimension: self.blocks.len(),
+                        entries: end,
+                    });
+                };
+                self.block_lists.extend_from_slice(blocks);
+                [first, end]
+            }
+        };
         self.residuals.push(ResidualEntry {
             dimension: residual.dimension(),
             residual: Some(Arc::new(residual)),
             kernel,
-            first_block,
+            blocks: list,
         });
         Ok(ResidualId(index))
     }
@@ -424,12 +438,8 @@ impl Problem {
 
     /// Blocks of a residual.
     pub fn blocks_of(&self, residual: ResidualId) -> &[BlockId] {
-        let first = self.residuals[residual.0].first_block;
-        let end = self
-            .residuals
-            .get(residual.0 + 1)
-            .map_or(self.block_lists.len(), |next| next.first_block);
-        &self.block_lists[first..end]
+        let [first, end] = self.residuals[residual.0].blocks;
+        &self.block_lists[first as usize..end as usize]
     }
 
     /// Number of blocks, removed ones included.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     CovarianceColumns, DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapObservation,
-    MapPoint, ObservationColumns, PointColumns, QualityColumns,
+    MapPoint, ObservationColumns, PointColumns, QualityColumns, SiteFrame,
 };
 use crate::Error;
 use crate::descriptor_index::{DescriptorIndex, DescriptorSource, IndexConfig};
@@ -71,6 +71,7 @@ pub(super) struct MapRows {
     pub feature: Feature,
     pub provenance: String,
     pub failures: Vec<String>,
+    pub site: Option<SiteFrame>,
 }
 
 /// A point with what saw it.
@@ -164,6 +165,7 @@ impl HdMap {
             feature: content.feature.clone(),
             provenance: content.provenance.to_owned(),
             failures: Vec::new(),
+            site: None,
         };
         Self::from_rows(rows, &config.index, progress)
     }
@@ -197,6 +199,7 @@ impl HdMap {
             feature: rows.feature,
             provenance: rows.provenance,
             failures: rows.failures,
+            site: rows.site,
             points: PointColumns {
                 x_m: axis(0).into(),
                 y_m: axis(1).into(),
@@ -244,6 +247,7 @@ impl HdMap {
             feature: self.feature.clone(),
             provenance: self.provenance.clone(),
             failures: self.failures.clone(),
+            site: self.site.clone(),
         }
     }
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     CovarianceColumns, DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns,
-    QualityColumns,
+    QualityColumns, SiteFrame,
 };
 use crate::Error;
 use crate::arrow_file::{Column, Fingerprint, NamedColumn, Table, broken, write_table};
@@ -97,6 +97,9 @@ struct Header {
     /// What was found wrong with the map when it was made.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     failures: Vec<String>,
+    /// The surveyed frame that its world is; absent where nothing was surveyed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    site: Option<SiteFrame>,
     files: Vec<FileHash>,
 }
 
@@ -163,6 +166,7 @@ impl HdMap {
                 Feature::Learned(learned) => Some(learned.clone()),
             },
             failures: self.failures.clone(),
+            site: self.site.clone(),
             files,
         };
         let text = toml::to_string(&header)
@@ -298,6 +302,7 @@ impl HdMap {
             feature,
             provenance: header.provenance.clone(),
             failures: header.failures.clone(),
+            site: header.site.clone(),
         };
         map.check(folder, &header)?;
         Ok(map)

@@ -19,6 +19,7 @@ mod prune;
 mod reconstruction;
 mod reconstruction_config;
 mod scene_depth;
+mod site;
 mod subset;
 #[cfg(test)]
 mod tests;
@@ -40,7 +41,11 @@ pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_
 pub use file::FORMAT_VERSION;
 pub(crate) use freed_cameras::{FreedCameras, Sights};
 use keyframe_covariance::CovarianceColumns;
-pub use marks::{Click, MarkConfig, PlacedMark, PlacedMarks, UnplacedMark, read_clicks};
+pub use marks::{
+    Click, ControlPoint, MarkConfig, PlacedMark, PlacedMarks, UnplacedMark, read_clicks,
+    read_control_points,
+};
+pub(crate) use marks::{FAR_CLICK_SIGMAS, SAME_MOMENT_NS, meet_of_clicks};
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PoseRefinement, PosedMapConfig, build_map_from_posed_images};
@@ -51,6 +56,7 @@ pub use reconstruction::{
     MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
 };
 pub use reconstruction_config::ReconstructionConfig;
+pub use site::SiteFrame;
 pub use subset::Region;
 
 /// Points, keyframes, observations and descriptors, in columns. Cloning shares them.
@@ -66,6 +72,7 @@ pub struct HdMap {
     provenance: String,
     /// What was found wrong when it was made: a sentence each.
     failures: Vec<String>,
+    site: Option<SiteFrame>,
     points: PointColumns,
     quality: QualityColumns,
     keyframes: KeyframeColumns,
@@ -188,6 +195,16 @@ impl HdMap {
     /// With what was found wrong with it: [`HdMap::write`] keeps it beside the map, parts of it and maps that it is merged into have it too.
     pub fn with_failures(self, failures: Vec<String>) -> Self {
         Self { failures, ..self }
+    }
+
+    /// The surveyed frame that its world is, but for a shift; `None` where nothing was surveyed, and the world begins with the walk.
+    pub fn site(&self) -> Option<&SiteFrame> {
+        self.site.as_ref()
+    }
+
+    /// With the surveyed frame that its world is.
+    pub(crate) fn with_site(self, site: Option<SiteFrame>) -> Self {
+        Self { site, ..self }
     }
 
     /// What its descriptors are of.

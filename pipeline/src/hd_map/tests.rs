@@ -94,10 +94,15 @@ fn bytes_of(folder: &Path) -> Vec<(String, Vec<u8>)> {
 #[test]
 fn what_is_written_is_opened_and_written_again_byte_for_byte() {
     let [first, second] = [(), ()].map(|()| tempfile::tempdir().expect("scratch folder"));
-    let map = small_map();
+    let site = SiteFrame {
+        origin_m: [500_000.0, 5_400_000.0, 0.0],
+        control_points: vec!["door".to_owned()],
+    };
+    let map = small_map().with_site(Some(site.clone()));
     map.write(first.path()).expect("written");
     let opened = HdMap::open(first.path()).expect("opened");
     assert!(opened.failures().is_empty());
+    assert_eq!(opened.site(), Some(&site));
     assert_eq!(opened.point_count(), 40);
     assert_eq!(opened.observation_count(), 160);
     assert_eq!(opened.descriptor_count(), 160);

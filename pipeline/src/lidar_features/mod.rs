@@ -256,10 +256,14 @@ pub fn correspond(
             edge_in_m: *edge_in_m,
         })
     });
-    Correspondences {
+    let mut found = Correspondences {
         planes: planes.collect(),
         edges: edges.collect(),
-    }
+    };
+    // There are many of them.
+    found.planes.shrink_to_fit();
+    found.edges.shrink_to_fit();
+    found
 }
 
 /// Where one ring bends.

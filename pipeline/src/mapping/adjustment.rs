@@ -8,14 +8,15 @@ use lsfb_perception::RelativePose;
 use lsfb_solver::{Block, Kernel, Problem, Report};
 use lsfb_types::ProgressFn;
 
+use super::control::{ControlBlocks, ControlTerms, SolvedControl, add_control};
 use super::keyframes::Keyframes;
-use super::scan_pairs::ScanPair;
+use super::matched::{MatchedEdge, MatchedPlane};
+use super::scan_pairs::Compared;
 use super::weights::Weights;
 use super::{MappingConfig, TermConfig};
 use crate::Error;
 use crate::hd_map::MapPoint;
-use crate::lidar_features::Correspondences;
-use crate::residuals::{LidarEdge, LidarPlane, ObservingCamera, Reprojection};
+use crate::residuals::{ObservingCamera, Reprojection};
 use crate::solve::solve_or_stop;
 
 /// What an IMU alone is off by after a second, metres; it grows with the power 3/2 of time: 18 cm after five seconds of a walk through an office and 45 cm
@@ -24,12 +25,14 @@ const BLIND_M: f64 = 0.02;
 
 /// What is minimised besides the reprojection errors of the points, and how much each term weighs.
 pub(super) struct Terms<'a> {
-    pub scans: &'a [(ScanPair, Correspondences)],
+    pub scans: &'a [Compared],
     /// The keyframes where the odometry had them.
     pub odometry: &'a [StampedPose],
     /// How long no scan told the motion from each of them to the next, seconds.
     pub blind_s: &'a [f64],
     pub weights: Weights,
+    /// Control points that hold the map, or marks that are placed.
+    pub control: Option<&'a ControlTerms<'a>>,
 }
 
 /// Eq. (4) at the poses and points at hand.
@@ -39,6 +42,8 @@ pub(super) struct Equation {
     pub poses: Vec<Block<Se3>>,
     /// The points.
     pub points: Vec<Block<Vector3<f64>>>,
+    /// What control points bring, where there are any.
+    pub control: Option<ControlBlocks>,
 }
 
 /// Minimises Eq. (4); `keyframes` and `points` take the result.
@@ -49,11 +54,12 @@ pub(super) fn adjust(
     terms: &Terms,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<Report, Error> {
+) -> Result<(Report, Option<SolvedControl>), Error> {
     let Equation {
         mut problem,
         poses,
         points: blocks,
+        control,
     } = equation(rig, keyframes, points, terms, config)?;
     let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
     for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
@@ -62,7 +68,9 @@ pub(super) fn adjust(
     for (point, block) in points.iter_mut().zip(&blocks) {
         point.point_in_world = problem.value(*block);
     }
-    Ok(report)
+    let control = control.zip(terms.control);
+    let control = control.and_then(|(blocks, terms)| blocks.solved(&problem, terms));
+    Ok((report, control))
 }
 
 /// Sets up Eq. (4).
@@ -100,7 +108,10 @@ pub(super) fn equation(
             problem.add_residual(residual, &[poses[image.keyframe].id(), block.id()], kernel)?;
         }
     }
+    let control = terms.control;
+    let control = control.map(|terms| add_control(&mut problem, &observing, &poses, terms));
     Ok(Equation {
+        control: control.transpose()?,
         problem,
         poses,
         points: blocks,
@@ -150,20 +161,18 @@ fn add_scans(
     let kernel = Kernel::Cauchy { scale: 2.0 };
     for (pair, found) in terms.scans {
         let blocks = [poses[pair.m].id(), poses[pair.n].id()];
-        for f in found.planes.iter().filter(|_| taken.planes) {
-            let residual = LidarPlane {
-                point_in_n: f.point_in_n,
-                point_in_m: f.plane_in_m.point,
-                normal_in_m: f.plane_in_m.normal,
+        for number in (0..found.planes.len() as u32).filter(|_| taken.planes) {
+            let residual = MatchedPlane {
+                found: found.clone(),
+                number,
                 sigma_m: weights.plane_sigma_m,
             };
             problem.add_residual(residual, &blocks, kernel)?;
         }
-        for f in found.edges.iter().filter(|_| taken.edges) {
-            let residual = LidarEdge {
-                point_in_n: f.point_in_n,
-                point_in_m: f.edge_in_m.point,
-                direction_in_m: f.edge_in_m.direction,
+        for number in (0..found.edges.len() as u32).filter(|_| taken.edges) {
+            let residual = MatchedEdge {
+                found: found.clone(),
+                number,
                 sigma_m: weights.edge_sigma_m,
             };
             problem.add_residual(residual, &blocks, kernel)?;

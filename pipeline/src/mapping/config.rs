@@ -2,6 +2,7 @@ use lsfb_solver::SolveConfig;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
+use super::control::ControlConfig;
 use crate::features::{LearnedConfig, SiftConfig};
 use crate::hd_map::{HdMapConfig, ReconstructionConfig};
 use crate::lidar_features::LidarFeatureConfig;
@@ -29,6 +30,8 @@ pub struct MappingConfig {
     pub map: HdMapConfig,
     /// LiDAR features and correspondences.
     pub lidar_features: LidarFeatureConfig,
+    /// How control points hold the map, where there are any.
+    pub control: ControlConfig,
     /// Whether cameras that the images show for sure to be turned, shifted or of another focal length than the rig file says are taken as the images
     /// show them, and Eq. (4) is solved once more. What is thought possible beforehand is a tenth of a radian, a decimetre and a tenth of the focal length.
     pub refine_cameras: bool,
@@ -122,6 +125,7 @@ impl Default for MappingConfig {
             reconstruction: ReconstructionConfig::default(),
             map: HdMapConfig::default(),
             lidar_features: LidarFeatureConfig::default(),
+            control: ControlConfig::default(),
             refine_cameras: false,
             terms: TermConfig::default(),
             correlation: CorrelationConfig::default(),
@@ -160,6 +164,7 @@ lsfb_types::bounds! {
         reconstruction: section,
         map: section,
         lidar_features: section,
+        control: section,
         refine_cameras: any,
         terms: section,
         correlation: section,

@@ -2,11 +2,12 @@
 
 use lsfb_geometry::StampedPose;
 
+use super::control::Hold;
 use super::keyframes::{Keyframe, Keyframes};
 use super::weights::Contradicted;
 use super::{MappingReport, Optimised, Rounds, ScanOffsets};
 use crate::features::{Features, Keypoint};
-use crate::hd_map::{KeyframeImage, MapPoint, PointObservation};
+use crate::hd_map::{KeyframeImage, MapPoint, PointObservation, SiteFrame};
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
 use crate::surface::Agreement;
 
@@ -16,7 +17,7 @@ keep_fields! {
     KeyframeImage { keyframe, camera, features }
     PointObservation { image, keypoint }
     MapPoint { point_in_world, observations, reprojection_rms_px }
-    Optimised { poses, points, covariances, refined }
+    Optimised { poses, points, covariances, refined, site }
     Contradicted { rotation, translation }
     Agreement { on_planes, beams, contradicted }
     ScanOffsets {
@@ -32,7 +33,9 @@ keep_fields! {
         unseen_secs,
         unseen_after_secs
     }
-    Rounds { done, poses, matched, contradicted, told }
+    Hold { centred_from_world, marks, map_factor }
+    SiteFrame { origin_m, control_points }
+    Rounds { done, most, poses, matched, contradicted, hold, told }
 }
 
 impl Keep for Keyframes {

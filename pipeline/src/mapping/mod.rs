@@ -3,10 +3,12 @@
 mod adjustment;
 mod camera_error;
 mod config;
+mod control;
 mod image_check;
 mod kept;
 mod keyframe_scans;
 mod keyframes;
+mod matched;
 mod pose_covariance;
 mod posed_scans;
 mod report;
@@ -34,7 +36,9 @@ use crate::error::Error;
 use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
-use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triangulate_tracks};
+use crate::hd_map::{
+    HdMap, MapContent, MapPoint, SiteFrame, expect_map, find_tracks, triangulate_tracks,
+};
 use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, run_odometry, scan_count};
@@ -43,10 +47,12 @@ use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
 use adjustment::{Terms, adjust};
 pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig, TermConfig};
+pub use control::{Control, ControlConfig, ControlMark, ControlReport};
+use control::{Hold, Marks, SolvedControl};
 use image_check::describe_images;
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframes, choose_keyframes, find_cameras};
-use pose_covariance::pose_covariances;
+use pose_covariance::{mark_covariance, pose_covariances};
 pub use posed_scans::{PosedScan, RefinedScans, ScanPoseConfig, ScanPoseReport, refine_scan_poses};
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
@@ -78,6 +84,8 @@ pub struct Inputs<'a> {
     /// Its scans as the odometry stored them, instead of those of the recording: for planes and edges of Eq. (4), and to be held against the finished map. How scans
     /// agree with one another along their beams is seen by those of the recording in any case.
     pub clouds: Option<&'a StoredClouds>,
+    /// Surveyed marks that hold the map in a site's frame, and clicks on them.
+    pub control: Option<&'a Control>,
 }
 
 impl<'a> Inputs<'a> {
@@ -87,6 +95,7 @@ impl<'a> Inputs<'a> {
             recording,
             start: Start::Odometry,
             clouds: None,
+            control: None,
         }
     }
 }
@@ -137,6 +146,7 @@ pub fn build_map_in_stages(
         recording,
         start,
         clouds,
+        control,
     } = *inputs;
     let source = clouds.map_or(ScanSource::Recorded(recording), ScanSource::Stored);
     let rig = recording.rig()?;
@@ -204,6 +214,7 @@ pub fn build_map_in_stages(
                 given: matches!(start, Start::Given(_)),
                 stages,
                 name,
+                control,
             };
             optimise(rig, keyframes, trajectory, config, report, &run, progress)
         };
@@ -233,7 +244,10 @@ pub fn build_map_in_stages(
         points,
         covariances,
         refined,
+        site,
     } = optimised;
+    let mut poses = poses;
+    let mut points = points;
     let mut stated = BTreeMap::new();
     let map_rig = match &refined {
         Some(text) => {
@@ -246,7 +260,7 @@ pub fn build_map_in_stages(
         stated.extend(camera.map(|camera| (error.camera.clone(), camera)));
     }
     let trajectory_before = trajectory;
-    let trajectory = correct_trajectory(&trajectory_before, &before, &poses);
+    let mut trajectory = correct_trajectory(&trajectory_before, &before, &poses);
     let (agreement, gap) = stages.once("surface", || {
         look_at_scans(recording, &rig, &trajectory, config, progress)
     })?;
@@ -262,13 +276,21 @@ pub fn build_map_in_stages(
     report
         .warnings
         .extend(gap.map(|(after_secs, secs)| MappingWarning::ScanGap { after_secs, secs }));
+    let site = site.map(|(site, site_from_world)| {
+        poses = moved(poses.iter(), &site_from_world);
+        trajectory = Trajectory::new(moved(trajectory.poses().iter(), &site_from_world));
+        for point in &mut points {
+            point.point_in_world = site_from_world * point.point_in_world;
+        }
+        site
+    });
     let content = MapContent {
         rig: &map_rig,
         keyframes: &poses,
         images: &keyframes.images,
         points: &points,
         feature: &detector.feature(),
-        provenance: &walk_hash(&rig, &trajectory_before),
+        provenance: &walk_hash(&rig, &trajectory_before, control),
     };
     let findings = report.findings();
     let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
@@ -277,7 +299,8 @@ pub fn build_map_in_stages(
         map: HdMap::build(&content, &config.map, progress)?
             .with_failures(failures)
             .with_stated_cameras(stated)
-            .with_keyframe_covariances(covariances),
+            .with_keyframe_covariances(covariances)
+            .with_site(site),
         trajectory,
         report,
     })
@@ -400,9 +423,22 @@ fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, E
     })
 }
 
-/// SHA-256 of the rig and the walk, as hexadecimal digits. Not of the recording: that holds arrival times, and the same
+/// Poses in a frame that the world lies in.
+fn moved<'a>(
+    poses: impl Iterator<Item = &'a StampedPose>,
+    frame_from_world: &Se3,
+) -> Vec<StampedPose> {
+    poses
+        .map(|pose| StampedPose {
+            time: pose.time,
+            world_from_rig: *frame_from_world * pose.world_from_rig,
+        })
+        .collect()
+}
+
+/// SHA-256 of the rig, the walk and what holds it, as hexadecimal digits. Not of the recording: that holds arrival times, and the same
 /// walk would give another map each time it is recorded.
-fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
+fn walk_hash(rig: &Rig, odometry: &Trajectory, control: Option<&Control>) -> String {
     let mut hash = Sha256::new();
     hash.update(rig.to_toml());
     for StampedPose {
@@ -414,6 +450,7 @@ fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
         let numbers = pose.rotation.coords.iter().chain(pose.translation.iter());
         numbers.for_each(|v| hash.update(v.to_le_bytes()));
     }
+    control.iter().for_each(|control| control.add_to(&mut hash));
     hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
 }
 
@@ -426,6 +463,8 @@ struct Optimised {
     covariances: Vec<Option<Matrix6<f64>>>,
     /// The rig file with cameras as the images show them, where some were taken so.
     refined: Option<String>,
+    /// The surveyed frame that control points put the map into, and the world in that.
+    site: Option<(SiteFrame, Se3)>,
 }
 
 /// What rounds of Eq. (4) read, where they are kept, and under which name.
@@ -435,18 +474,23 @@ struct Run<'a> {
     given: bool,
     stages: &'a KeptStages,
     name: &'static str,
+    control: Option<&'a Control>,
 }
 
 /// Where Eq. (4) stands behind one of its rounds.
 struct Rounds {
     /// Rounds that are finished.
     done: usize,
+    /// Rounds there are at most.
+    most: usize,
     /// Of the keyframes.
     poses: Vec<StampedPose>,
     /// Where the keyframes were when images were matched last.
     matched: Vec<StampedPose>,
     /// How much the start is contradicted.
     contradicted: Contradicted,
+    /// The control points that hold the map, once it was at rest without them.
+    hold: Option<Hold>,
     /// The report so far.
     told: MappingReport,
 }
@@ -472,7 +516,7 @@ fn largest_move(from: &[StampedPose], to: &[StampedPose]) -> [f64; 2] {
     })
 }
 
-/// Alternates new correspondences with Eq. (4) until the keyframes rest.
+/// Alternates new correspondences with Eq. (4) until the keyframes rest; then once more with the control points that agree with what came of it, where there are any.
 fn optimise(
     rig: &Rig,
     keyframes: &mut Keyframes,
@@ -486,17 +530,26 @@ fn optimise(
     let blind_s = blind_secs(odometry, trajectory, &report.odometry.gaps);
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
-    let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
     let mut contradicted = Contradicted::default();
     let mut matched = odometry.clone();
     let mut current = odometry.clone();
-    let mut first_round = 0;
+    let mut round = 0;
+    let marks = run
+        .control
+        .map(|c| Marks::find(c, rig, trajectory, odometry));
+    let mut hold: Option<Hold> = None;
+    report.control = None;
+    let mut most_rounds = match run.given {
+        true => config.outer_iterations.max(GIVEN_ROUNDS),
+        false => config.outer_iterations.max(1),
+    };
+    let rounds_of_start = most_rounds;
     if let Some(rounds) = run.stages.get::<Rounds>(run.name)
         && rounds.poses.len() == keyframes.frames.len()
         && rounds.matched.len() == keyframes.frames.len()
     {
-        first_round = rounds.done;
-        current = rounds.poses;
+        (round, most_rounds) = (rounds.done, rounds.most);
+        (current, hold) = (rounds.poses, rounds.hold);
         (matched, contradicted) = (rounds.matched, rounds.contradicted);
         *report = rounds.told;
     }
@@ -514,14 +567,13 @@ fn optimise(
     keyframes.place(&matched);
     let mut tracks = look_at(&matched, &mut *keyframes)?;
     keyframes.place(&current);
-    let most_rounds = match run.given {
-        true => config.outer_iterations.max(GIVEN_ROUNDS),
-        false => config.outer_iterations.max(1),
-    };
-    for round in first_round..most_rounds {
+    // What the last round has.
+    let (mut points, mut scans, mut weights);
+    let mut in_site: Option<SolvedControl>;
+    loop {
         let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
         let has_left = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
-        if run.given && has_left {
+        if (run.given || hold.is_some()) && has_left {
             matched = keyframes.poses();
             tracks = look_at(&matched, &mut *keyframes)?;
         }
@@ -540,15 +592,24 @@ fn optimise(
             contradicted,
             ..Weights::estimate(&lidar, &errors_px, &config.correlation)
         };
+        let before = keyframes.poses();
+        let control = marks.as_ref().zip(hold.as_ref()).and_then(|(marks, hold)| {
+            let placed = marks.place(rig, &before, &config.control);
+            marks.terms(&placed, Some(hold))
+        });
         let terms = Terms {
             scans: &scans,
             odometry,
             blind_s: &blind_s,
             weights,
+            control: control.as_ref(),
         };
-        let before = keyframes.poses();
-        let solved = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
+        let solved;
+        (solved, in_site) = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
         let poses = keyframes.poses();
+        if let (Some(hold), Some(in_site)) = (&mut hold, &in_site) {
+            hold.centred_from_world = in_site.centred_from_world;
+        }
         let [moved_m, turned_rad] = largest_move(&before, &poses);
         // The odometry knows how well it knows its motion: wrong cameras must not talk it out of that.
         if run.given {
@@ -571,12 +632,41 @@ fn optimise(
         let rests = done.moved_m < RESTING_M && done.turned_deg < RESTING_DEG;
         report.rounds.push(done);
         report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
-        if rests || round + 1 >= most_rounds {
+        round += 1;
+        let mut is_last = rests || round >= most_rounds;
+        if let (true, Some(marks), None) = (is_last, &marks, &report.control) {
+            // Held against the map before they pull at it.
+            let placed = marks.place(rig, &poses, &config.control);
+            let placing = marks.terms(&placed, None);
+            let checked = Checked {
+                rig,
+                keyframes,
+                tracks: &tracks,
+                trajectory,
+                terms: Terms {
+                    scans: &scans,
+                    odometry,
+                    blind_s: &blind_s,
+                    weights,
+                    control: placing.as_ref(),
+                },
+            };
+            let covariance_m2 = match &placing {
+                Some(_) => mark_covariance(&checked, &points, config)?,
+                None => None,
+            };
+            let (held, said) = marks.decide(&placed, covariance_m2.as_ref(), &config.control);
+            report.control = Some(said);
+            is_last = held.is_none();
+            hold = held;
+            most_rounds = round + rounds_of_start;
+        }
+        if is_last {
             // From the odometry few rounds are made: what moves images beyond their matches is too much for that.
             let moves = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
             if !rests && (run.given || moves) {
                 report.warnings.push(MappingWarning::NotAtRest {
-                    rounds: round as u64 + 1,
+                    rounds: round as u64,
                     moved_m,
                     turned_deg: turned_rad.to_degrees(),
                 });
@@ -584,10 +674,12 @@ fn optimise(
             break;
         }
         let rounds = Rounds {
-            done: round + 1,
+            done: round,
+            most: most_rounds,
             poses,
             matched: matched.clone(),
             contradicted,
+            hold: hold.clone(),
             told: report.clone(),
         };
         run.stages.keep(run.name, &rounds)?;
@@ -595,6 +687,21 @@ fn optimise(
     report.tracks = tracks.len() as u64;
     if !config.terms.images {
         points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
+    }
+    let placed = marks
+        .as_ref()
+        .map(|marks| marks.place(rig, &keyframes.poses(), &config.control));
+    let held = marks.as_ref().zip(placed.as_ref()).zip(hold.as_ref());
+    let control = held.and_then(|((marks, placed), hold)| marks.terms(placed, Some(hold)));
+    let mut site = None;
+    if let (Some(((marks, placed), hold)), Some(said)) = (held, &mut report.control) {
+        match &in_site {
+            Some(in_site) => {
+                marks.say_after(said, placed, in_site);
+                site = Some(marks.site(hold));
+            }
+            None => said.lost(),
+        }
     }
     let checked = Checked {
         rig,
@@ -606,12 +713,17 @@ fn optimise(
             odometry,
             blind_s: &blind_s,
             weights,
+            control: control.as_ref(),
         },
     };
     let shown = camera_errors(&checked, config, progress)?;
     report.cameras = shown.errors.clone();
+    let factor = hold.as_ref().map_or(1.0, |hold| hold.map_factor);
     let covariances = match pose_covariances(&checked, &points, config, progress)? {
-        Ok(known) => known.into_iter().map(Some).collect(),
+        Ok(known) => known
+            .into_iter()
+            .map(|c| Some(c * factor * factor))
+            .collect(),
         Err(warning) => {
             report.warnings.push(warning);
             Vec::new()
@@ -639,6 +751,7 @@ fn optimise(
         points,
         covariances,
         refined: None,
+        site,
     };
     Ok((optimised, shown))
 }

@@ -8,8 +8,9 @@
 //! number of them lessens it: it is added, of the first keyframe as of the other.
 
 use lsfb_geometry::{Matrix6, Vector3};
-use lsfb_solver::{BlockId, Kernel, VectorPrior, covariance_of_groups};
+use lsfb_solver::{BlockId, Kernel, VectorPrior, covariance, covariance_of_groups};
 use lsfb_types::{Progress, ProgressFn};
+use nalgebra::DMatrix;
 
 use super::adjustment::{Equation, equation};
 use super::keyframes::Keyframes;
@@ -39,20 +40,7 @@ pub(super) fn pose_covariances(
     progress: ProgressFn<'_>,
 ) -> Result<Result<Vec<Matrix6<f64>>, MappingWarning>, Error> {
     let terms = &checked.terms;
-    let in_view = points
-        .iter()
-        .filter(|p| depth_m(checked, p) > LEAST_DEPTH_M);
-    let points: Vec<MapPoint> = in_view.cloned().collect();
-    let Equation {
-        mut problem,
-        poses,
-        points: blocks,
-    } = equation(checked.rig, checked.keyframes, &points, terms, config)?;
-    for (point, block) in points.iter().zip(&blocks) {
-        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point);
-        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-    }
+    let Equation { problem, poses, .. } = determined(checked, points, config)?;
     let groups: Vec<Vec<BlockId>> = poses.iter().skip(1).map(|pose| vec![pose.id()]).collect();
     let total = groups.len() as u64;
     let found = covariance_of_groups(&problem, &groups, |done| {
@@ -83,6 +71,47 @@ pub(super) fn pose_covariances(
         covariances.push((covariance + covariance.transpose()) * 0.5);
     }
     Ok(Ok(covariances))
+}
+
+/// The joint covariance of the marks that the terms place, in their order; `None` where the measurements do not determine the map.
+pub(super) fn mark_covariance(
+    checked: &Checked,
+    points: &[MapPoint],
+    config: &MappingConfig,
+) -> Result<Option<DMatrix<f64>>, Error> {
+    let Equation {
+        problem, control, ..
+    } = determined(checked, points, config)?;
+    let marks = control.map_or_else(Vec::new, |control| control.marks);
+    let ids: Vec<BlockId> = marks.iter().map(|mark| mark.id()).collect();
+    match covariance(&problem, &ids) {
+        Ok(found) => Ok(Some(found.joint().clone())),
+        Err(lsfb_solver::Error::Undetermined { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Eq. (4) with points that parallel rays leave undetermined held a little.
+fn determined(
+    checked: &Checked,
+    points: &[MapPoint],
+    config: &MappingConfig,
+) -> Result<Equation, Error> {
+    let in_view = points
+        .iter()
+        .filter(|p| depth_m(checked, p) > LEAST_DEPTH_M);
+    let points: Vec<MapPoint> = in_view.cloned().collect();
+    let (rig, keyframes) = (checked.rig, checked.keyframes);
+    let mut equation = equation(rig, keyframes, &points, &checked.terms, config)?;
+    for (point, block) in points.iter().zip(&equation.points) {
+        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point);
+        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
+        let kernel = Kernel::Squared;
+        equation
+            .problem
+            .add_residual(prior, &[block.id()], kernel)?;
+    }
+    Ok(equation)
 }
 
 /// Distance of a point from the nearest camera that sees it.

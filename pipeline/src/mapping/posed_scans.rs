@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use super::adjustment::{Terms, adjust};
 use super::keyframes::{Keyframe, Keyframes};
-use super::scan_pairs::{ScanPair, scan_correspondences, scan_pairs};
+use super::scan_pairs::{Compared, scan_correspondences, scan_pairs};
 use super::weights::{Contradicted, Weights, lidar_residuals};
 use super::{LidarResiduals, MappingConfig, RESTING_DEG, RESTING_M, largest_move};
 use crate::Error;
-use crate::lidar_features::{Correspondences, LidarFeatureConfig, LidarFeatures};
+use crate::lidar_features::{LidarFeatureConfig, LidarFeatures};
 
 /// A scan without motion in it, and where it is thought to have been taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -212,6 +212,7 @@ pub fn refine_scan_poses(
                     contradicted: Contradicted::default(),
                     ..Weights::estimate(&lidar, &[], &settings.correlation)
                 },
+                control: None,
             };
             let before = keyframes.poses();
             adjust(&rig, &mut keyframes, &mut [], &terms, &settings, progress)?;
@@ -249,10 +250,7 @@ pub fn refine_scan_poses(
 }
 
 /// Share of the planes of the second of two scans that lie on surfaces of the first.
-fn matched_shares(
-    frames: &[Keyframe],
-    found: &[(ScanPair, Correspondences)],
-) -> Vec<([usize; 2], f64)> {
+fn matched_shares(frames: &[Keyframe], found: &[Compared]) -> Vec<([usize; 2], f64)> {
     let planes_of = |n: usize| frames[n].lidar.as_ref().map_or(0, |l| l.planes().len());
     let shares = found.iter().map(|(pair, both)| {
         let share = both.planes.len() as f64 / planes_of(pair.n).max(1) as f64;

@@ -4,6 +4,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::camera_error::CameraError;
+use super::control::ControlReport;
 use super::scan_offsets::ScanOffsets;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
@@ -60,6 +61,9 @@ pub struct MappingReport {
     /// How far scans lie from the surfaces of keyframes that they had no part in; absent without a LiDAR.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scan_offsets: Option<ScanOffsets>,
+    /// What control points say of the map, and it of them; absent where none were given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<ControlReport>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -82,6 +86,7 @@ impl MappingReport {
             .chain(own)
             .chain(of_scans)
             .chain(self.scan_offsets.iter().flat_map(ScanOffsets::findings))
+            .chain(self.control.iter().flat_map(ControlReport::findings))
             .chain(of_cameras)
             .collect()
     }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::iter::successors;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -43,12 +44,15 @@ pub(super) fn scan_pairs(keyframes: &[Keyframe], config: &MappingConfig) -> Vec<
     pairs.into_iter().collect()
 }
 
+/// What the scans of two keyframes share; residuals share it too.
+pub(super) type Compared = (ScanPair, Arc<Correspondences>);
+
 /// Correspondences of the scan pairs at the current poses.
 pub(super) fn scan_correspondences(
     keyframes: &[Keyframe],
     pairs: &[ScanPair],
     config: &MappingConfig,
-) -> Vec<(ScanPair, Correspondences)> {
+) -> Vec<Compared> {
     pairs
         .par_iter()
         .filter_map(|pair| {
@@ -60,7 +64,7 @@ pub(super) fn scan_correspondences(
                 &m_from_n,
                 &config.lidar_features,
             );
-            Some((*pair, found))
+            Some((*pair, Arc::new(found)))
         })
         .collect()
 }

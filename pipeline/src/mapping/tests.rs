@@ -2,12 +2,13 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector3};
+use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Finding, Progress, Stopped, Verdict, no_progress};
 use nalgebra::Matrix3;
 
 use super::*;
+use crate::hd_map::{Click, ControlPoint};
 use crate::odometry::OdometryConfig;
 use crate::odometry::tests::room::{self, Room};
 
@@ -443,4 +444,122 @@ fn limits_must_be_positive() {
     };
     let error = config.check_bounds("mapping").expect_err("no limit");
     assert!(error.to_string().contains("max_reprojection_px"), "{error}");
+}
+
+/// A start that is 5 % too long and scans that take no part: images alone know no scale. Control points put the map right and into their frame, of a national grid, though one of
+/// them was measured 40 cm off and one click is on something else.
+#[test]
+fn control_points_hold_a_map_and_blunders_among_them_do_not() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 5.0, &["cam0", "cam1", "cam2"], 0.03);
+    let recording = Recording::open(&path).expect("recording");
+    let truth = |secs: f64| room::world_from_rig(secs);
+    let first = truth(0.0);
+    let poses = (0..500).map(|step| {
+        let secs = f64::from(step) * 0.01;
+        let moved = first.inverse() * truth(secs);
+        StampedPose {
+            time: room::time(secs),
+            world_from_rig: first * Se3::new(moved.rotation, moved.translation * 1.05),
+        }
+    });
+    let start = Trajectory::new(poses.collect());
+    // Twelve marks around the walk, each clicked in every image of half a second's steps that shows it.
+    let middle = truth(2.5).translation;
+    let place = |k: usize| {
+        let angle = k as f64 * std::f64::consts::TAU / 12.0;
+        let (far_m, up_m) = (2.0 + 0.3 * (k % 3) as f64, 0.4 * (k % 4) as f64 - 0.5);
+        middle + Vector3::new(far_m * angle.cos(), far_m * angle.sin(), up_m)
+    };
+    let mut clicks = Vec::new();
+    for k in 0..12 {
+        for step in 1..10 {
+            let secs = 0.5 * f64::from(step) - 0.013;
+            for (name, mounted) in &rig().cameras {
+                let in_camera = (truth(secs) * mounted.rig_from_camera).inverse() * place(k);
+                let size = [mounted.camera.width, mounted.camera.height].map(f64::from);
+                let pixel = mounted.camera.project(&in_camera);
+                let inside = |p: &Vector2<f64>| {
+                    (5.0..size[0] - 5.0).contains(&p.x) && (5.0..size[1] - 5.0).contains(&p.y)
+                };
+                let Some(pixel) = pixel.filter(inside).filter(|_| in_camera.z > 0.3) else {
+                    continue;
+                };
+                clicks.push(Click {
+                    mark: format!("m{k}"),
+                    camera: name.clone(),
+                    time: room::time(secs),
+                    pixel,
+                });
+            }
+        }
+    }
+    let wrong = clicks.iter_mut().find(|c| c.mark == "m4").expect("clicked");
+    wrong.pixel.x += 30.0;
+    let site_from_world = Se3::new(
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.6),
+        Vector3::new(500_120.0, 5_400_900.0, 430.0),
+    );
+    let in_site = |k: usize| site_from_world * place(k);
+    let points = (0..12).filter(|k| k % 3 != 0).map(|k| ControlPoint {
+        mark: format!("m{k}"),
+        place_m: in_site(k) + Vector3::x() * if k == 7 { 0.4 } else { 0.0 },
+        sigmas_m: Vector3::repeat(0.002),
+    });
+    let control = Control::new(points.collect(), &clicks).expect("enough");
+    let mut config = MappingConfig::default();
+    (config.terms.planes, config.terms.edges) = (false, false);
+    let build = |control: Option<&Control>| {
+        let inputs = Inputs {
+            start: Start::Given(&start),
+            control,
+            ..Inputs::of(&recording)
+        };
+        build_map_in_stages(&inputs, &config, &KeptStages::none(), &no_progress).expect("map")
+    };
+    // Of marks that were not surveyed, along all pairs.
+    let worst_m = |result: &MappingResult| {
+        let along = Some(&result.trajectory);
+        let placed = result.map.place_marks(&clicks, along, &Default::default());
+        let seen = placed.marks.iter().filter_map(|mark| {
+            let k: usize = mark.name[1..].parse().ok()?;
+            (k % 3 == 0).then(|| (place(k), Vector3::from(mark.place_m)))
+        });
+        let seen: Vec<_> = seen.collect();
+        assert!(seen.len() > 2, "{placed:?}");
+        let pairs = seen.iter().enumerate().flat_map(|(i, a)| {
+            let others = seen[..i].iter();
+            others.map(|b| ((a.0 - b.0).norm() - (a.1 - b.1).norm()).abs())
+        });
+        pairs.fold(0.0, f64::max)
+    };
+    let (alone, held) = (build(None), build(Some(&control)));
+    let report = held.report.control.as_ref().expect("said");
+    assert!(report.holds, "{report:?}");
+    let (alone_m, held_m) = (worst_m(&alone), worst_m(&held));
+    assert!(alone_m > 0.1 && held_m < 0.02, "{alone_m} → {held_m} m");
+    assert!(alone.map.site().is_none());
+    let site = held.map.site().expect("in the frame of the survey");
+    assert_eq!(site.origin_m, [500_000.0, 5_401_000.0, 0.0]);
+    let shift = Vector3::from(site.origin_m);
+    for pose in held.trajectory.poses() {
+        let truth = site_from_world * truth(pose.time.secs_since(room::time(0.0)));
+        let off_m = (pose.world_from_rig.translation + shift - truth.translation).norm();
+        assert!(off_m < 0.03, "{off_m} m");
+    }
+    let named: Vec<&str> = report
+        .marks
+        .iter()
+        .filter(|mark| !mark.holds)
+        .map(|mark| mark.name.as_str())
+        .collect();
+    assert_eq!(named, ["m7"]);
+    let findings = held.report.findings();
+    let off = findings.iter().find(|f| f.code == "control-point-off");
+    let off = off.expect("named");
+    assert!((off.value.expect("metres") - 0.4).abs() < 0.1, "{off:?}");
+    assert!(!site.control_points.contains(&"m7".to_owned()));
+    let m4 = report.marks.iter().find(|mark| mark.name == "m4");
+    assert_eq!(m4.expect("placed").clicks_left_out, 1);
 }

@@ -6,8 +6,7 @@ use super::MappingConfig;
 use super::config::CorrelationConfig;
 use super::keyframes::Keyframe;
 use super::report::LidarResiduals;
-use super::scan_pairs::ScanPair;
-use crate::lidar_features::Correspondences;
+use super::scan_pairs::Compared;
 use lsfb_perception::statistics::median;
 
 /// Median length of a two-dimensional normal error in units of its standard deviation in one direction, √(2 ln 2).
@@ -93,10 +92,7 @@ impl Weights {
 }
 
 /// How far apart corresponding LiDAR features lie at the current poses.
-pub(super) fn lidar_residuals(
-    keyframes: &[Keyframe],
-    scans: &[(ScanPair, Correspondences)],
-) -> LidarResiduals {
+pub(super) fn lidar_residuals(keyframes: &[Keyframe], scans: &[Compared]) -> LidarResiduals {
     let mut sums = LidarResiduals::default();
     let (mut plane_squares, mut edge_squares) = (0.0, 0.0);
     for (pair, found) in scans {

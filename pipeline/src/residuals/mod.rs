@@ -1,5 +1,6 @@
 //! The terms of the optimisation problems, one file each: formula, Jacobian, test against numeric differences.
 
+mod between_reprojection;
 mod bias_walk;
 mod fixed_point_reprojection;
 mod imu_preintegration;
@@ -10,7 +11,9 @@ mod moving_reprojection;
 mod reprojection;
 #[cfg(test)]
 mod strategies;
+mod surveyed_point;
 
+pub use between_reprojection::BetweenReprojection;
 pub use bias_walk::BiasWalk;
 pub use fixed_point_reprojection::FixedPointReprojection;
 pub use imu_preintegration::ImuPreintegration;
@@ -20,3 +23,4 @@ pub(crate) use moving_camera::entry;
 pub use moving_camera::{CameraCorrection, FrameMotion, MovingCamera};
 pub use moving_reprojection::MovingReprojection;
 pub use reprojection::{ObservingCamera, Reprojection};
+pub use surveyed_point::SurveyedPoint;

@@ -3,14 +3,20 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_pipeline::hd_map::{HdMap, MarkConfig, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::mapping::{Inputs, MappingConfig, MappingReport, Start, build_map_in_stages};
+use lsfb_pipeline::hd_map::{
+    HdMap, MarkConfig, PosedMapConfig, build_map_from_posed_images, read_clicks,
+    read_control_points,
+};
+use lsfb_pipeline::mapping::{
+    Control, Inputs, MappingConfig, MappingReport, Start, build_map_in_stages,
+};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_pipeline::stored_clouds::StoredClouds;
 use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::map_control;
 use super::map_distances::MarkedDistances;
 use super::map_report::{MapPage, coverage, findings};
 use super::map_surface::check_source;
@@ -31,6 +37,7 @@ use crate::standing;
 ///   lsfb map scan.mcap --trajectory other-slam.tum --out map
 ///   lsfb map scan.mcap --trajectory scan.tum --stored-clouds clouds.mcap --out map
 ///   lsfb map scan.mcap --marks marks.csv --survey hall.survey --out map --out-report map.html
+///   lsfb map scan.mcap --marks marks.csv --control-points control_points.csv --out map --out-trajectory scan.tum
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
 ///   lsfb map --posed-images nerfstudio/scene --out scene-map
@@ -74,6 +81,10 @@ struct BuildArguments {
     /// What was measured between those marks.
     #[arg(long, value_name = "SURVEY", requires = "marks")]
     survey: Option<PathBuf>,
+    /// Surveyed places of some of those marks, three or more that are not on one line: lines of mark,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m (or one sigma_m) in metres,
+    /// z upwards. Those that agree hold the map, and it and its trajectory are in their frame.
+    #[arg(long, value_name = "CSV", requires = "marks")]
+    control_points: Option<PathBuf>,
     /// Hold out every N-th of those images, to localize them later.
     #[arg(long, value_name = "N", requires = "posed_images")]
     holdout_every: Option<usize>,
@@ -154,6 +165,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         marks: arguments.marks.as_deref().map(|clicks| MarkFiles {
             clicks,
             survey: arguments.survey.as_deref(),
+            control_points: arguments.control_points.as_deref(),
         }),
     };
     let read = job.inputs();
@@ -179,7 +191,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.reprojection_rms_before_px
         );
         let marks = marked.map_or_else(String::new, |m| format!("\n\n{}", m.text()));
-        text + &sentences(&judgement) + marks.trim_end()
+        let control = r.control.as_ref();
+        let control = control.map_or_else(String::new, |c| format!("\n\n{}", map_control::text(c)));
+        text + &sentences(&judgement) + control.trim_end() + marks.trim_end()
     })?;
     Ok(match Outcome::of(judgement.verdict()) {
         Outcome::Done if !r.is_whole() => Outcome::DataLost,
@@ -211,6 +225,8 @@ struct Said {
 pub struct MarkFiles<'a> {
     pub clicks: &'a Path,
     pub survey: Option<&'a Path>,
+    /// Surveyed places of some of them, which hold the map.
+    pub control_points: Option<&'a Path>,
 }
 
 /// A map to be built of a recording.
@@ -233,9 +249,10 @@ impl MapJob<'_> {
         let mut read = vec![self.recording];
         read.extend(self.start);
         read.extend(self.clouds);
-        if let Some(MarkFiles { clicks, survey }) = self.marks {
-            read.push(clicks);
-            read.extend(survey);
+        if let Some(marks) = self.marks {
+            read.push(marks.clicks);
+            read.extend(marks.survey);
+            read.extend(marks.control_points);
         }
         read
     }
@@ -284,20 +301,29 @@ impl MapJob<'_> {
             })?)
         });
         let clouds = clouds.transpose()?;
+        let control = self
+            .marks
+            .and_then(|marks| Some((marks.clicks, marks.control_points?)));
+        let control = control.map(|(clicks, points)| {
+            let control = Control::new(read_control_points(points)?, &read_clicks(clicks)?);
+            super::about(points, control)
+        });
+        let control = control.transpose()?;
         outputs.iter().try_for_each(|result| claim(result))?;
         let stages = context.kept_stages(self.out, &provenance)?;
         let inputs = Inputs {
             recording: &scan,
             start: start.as_ref().map_or(Start::Odometry, Start::Given),
             clouds: clouds.as_ref(),
+            control: control.as_ref(),
         };
         let result = super::about(
             self.recording,
             build_map_in_stages(&inputs, self.config, &stages, &|p| context.show(p)),
         )?;
-        let marked = self.marks.map(|MarkFiles { clicks, survey }| {
-            let along = Some(&result.trajectory);
-            MarkedDistances::of(&result.map, along, clicks, survey, &MarkConfig::default())
+        let marked = self.marks.map(|marks| {
+            let (along, config) = (Some(&result.trajectory), MarkConfig::default());
+            MarkedDistances::of(&result.map, along, marks.clicks, marks.survey, &config)
         });
         let marked = marked.transpose()?;
         standing::forget(&outputs)?;

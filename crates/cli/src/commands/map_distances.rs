@@ -83,7 +83,7 @@ struct Measured {
     error_m: f64,
     /// The same in standard deviations of both.
     sigmas: f64,
-    /// Whether it is told well enough to judge the map.
+    /// Whether it is told well enough to judge the map, and not between two marks that hold the map.
     judges: bool,
 }
 
@@ -130,14 +130,15 @@ impl MarkedDistances {
             .map(|m| (m.name.clone(), Vector3::from(m.place_m)))
             .collect();
         let compared = super::about(path, compare_distances(&survey))?;
+        // What the map was bent to does not judge it.
+        let held = map.site().map_or(&[][..], |site| &site.control_points);
         let tapes = survey.tapes.iter();
         let distances: Vec<MarkDistance> = tapes
             .filter_map(|tape| {
-                Some(distance(
-                    mark(&tape.ends[0])?,
-                    mark(&tape.ends[1])?,
-                    Some(tape),
-                ))
+                let ends = [mark(&tape.ends[0])?, mark(&tape.ends[1])?];
+                let is_held = |mark: &&PlacedMark| held.contains(&mark.name);
+                let judged = !ends.iter().all(is_held);
+                Some(distance(ends[0], ends[1], Some((tape, judged))))
             })
             .collect();
         Ok(Self {
@@ -234,7 +235,7 @@ impl MarkedDistances {
             true => Verdict::Pass,
         };
         let what = format!(
-            "{count} of {all} distances, those told to {:.1} cm or better, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
+            "{count} of {all} distances, those told to {:.1} cm or better and not between two control points, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
             100.0 * JUDGING_SIGMA_M,
             1e3 * mean_m,
             1e3 * MEAN_M,
@@ -318,20 +319,21 @@ impl MarkedDistances {
     }
 }
 
-fn distance(a: &PlacedMark, b: &PlacedMark, tape: Option<&Tape>) -> MarkDistance {
+/// With a tape's length goes whether it may judge the map.
+fn distance(a: &PlacedMark, b: &PlacedMark, tape: Option<(&Tape, bool)>) -> MarkDistance {
     let [map_m, sigma_m] = a.distance_to(b);
     MarkDistance {
         ends: [a.name.clone(), b.name.clone()],
         map_m,
         sigma_m,
-        measured: tape.map(|tape| {
+        measured: tape.map(|(tape, may_judge)| {
             let error_m = map_m - tape.distance_m;
             let both_m = sigma_m.hypot(tape.sigma_m);
             Measured {
                 measured_m: tape.distance_m,
                 error_m,
                 sigmas: error_m / both_m,
-                judges: both_m <= JUDGING_SIGMA_M,
+                judges: may_judge && both_m <= JUDGING_SIGMA_M,
             }
         }),
     }

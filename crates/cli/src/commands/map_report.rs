@@ -6,6 +6,7 @@ use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::mapping::{MappingReport, RoundReport};
 use lsfb_types::{Finding, Limit, Verdict};
 
+use super::map_control;
 use super::map_distances::MarkedDistances;
 
 /// A keyframe with fewer observations of map points than this could hardly be found in its own map.
@@ -48,6 +49,10 @@ impl MapPage<'_> {
             name: "rounds of Eq. (4)".to_owned(),
             value: rounds(report),
         }];
+        provenance.extend(report.control.as_ref().map(|control| Provenance {
+            name: "control points".to_owned(),
+            value: map_control::text(control),
+        }));
         let marked_figures = self.marked.map_or_else(Vec::new, |marked| {
             findings.extend(marked.findings());
             provenance.push(Provenance {
@@ -81,6 +86,7 @@ impl MapPage<'_> {
                 count("weakly covered keyframes", coverage.weak.len() as u64),
             ]
             .into_iter()
+            .chain(report.control.iter().flat_map(map_control::figures))
             .chain(marked_figures)
             .collect(),
             courses: courses(report),

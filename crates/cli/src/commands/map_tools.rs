@@ -6,7 +6,9 @@ use anyhow::Context as _;
 use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_pipeline::descriptor_index::IndexConfig;
-use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, MapFormat, MergeConfig, Region};
+use lsfb_pipeline::hd_map::{
+    ColmapCamera, ExportedFile, MapFormat, MergeConfig, Region, SiteFrame,
+};
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 
@@ -200,6 +202,9 @@ struct Info<'a> {
     /// Of the keyframes, relative to the first; absent where their covariances are unknown.
     keyframe_sigma: Option<KeyframeSigma>,
     bytes: u64,
+    /// The surveyed frame it stands in; absent where nothing was surveyed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    site: Option<&'a SiteFrame>,
     /// What was found wrong with it when it was made.
     failures: &'a [String],
     provenance: &'a str,
@@ -226,6 +231,7 @@ fn info(arguments: &InfoArguments, context: &Context) -> anyhow::Result<Outcome>
         point_sigma_m: shares(quality.iter().map(|q| q.worst_sigma_m())),
         keyframe_sigma: KeyframeSigma::of(&map),
         bytes: bytes_in(&arguments.map)?,
+        site: map.site(),
         failures: map.failures(),
         provenance: map.provenance(),
     };
@@ -255,6 +261,7 @@ fn text(folder: &Path, info: &Info) -> String {
         let side = |i: usize| format!("{} {:.2} to {:.2} m", ["x", "y", "z"][i], min[i], max[i]);
         lines.push(format!("{}, {}, {}", side(0), side(1), side(2)));
     }
+    lines.extend(info.site.map(super::map_control::of_site));
     if let Some([half, most]) = info.reprojection_px {
         lines.push(format!(
             "reprojection error of a point: median {half:.2} px, 95 % below {most:.2} px"

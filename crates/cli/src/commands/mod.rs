@@ -29,6 +29,7 @@ pub mod import;
 mod inertial;
 pub mod localize;
 pub mod map;
+mod map_control;
 mod map_depth;
 mod map_distances;
 mod map_folder;

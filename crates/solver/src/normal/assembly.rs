@@ -25,7 +25,6 @@ pub(super) struct PointParts<'a> {
 pub(super) struct ColumnParts<'a> {
     pub matrix: &'a mut [f64],
     pub gradient: &'a mut [f64],
-    pub diagonal: &'a mut [f64],
 }
 
 pub(super) fn split_points<'a>(
@@ -69,17 +68,14 @@ pub(super) fn split_columns<'a>(
     let values = layout.column_value_start(middle) - layout.column_value_start(range.start);
     let matrix = parts.matrix.split_at_mut(values);
     let gradient = parts.gradient.split_at_mut(rows);
-    let diagonal = parts.diagonal.split_at_mut(rows);
     (
         ColumnParts {
             matrix: matrix.0,
             gradient: gradient.0,
-            diagonal: diagonal.0,
         },
         ColumnParts {
             matrix: matrix.1,
             gradient: gradient.1,
-            diagonal: diagonal.1,
         },
     )
 }
@@ -121,11 +117,13 @@ pub(super) fn assemble_points<const FUSED: bool>(
     }
 }
 
+/// Adds the products of residuals at some positions, whose records begin with those of the first, to some columns.
 #[inline(always)]
 pub(super) fn assemble_columns<const FUSED: bool>(
-    (problem, layout, columns, records, parts): (
+    (problem, layout, columns, positions, records, parts): (
         &Problem,
         &Layout,
+        Range<usize>,
         Range<usize>,
         &[f64],
         ColumnParts<'_>,
@@ -133,9 +131,9 @@ pub(super) fn assemble_columns<const FUSED: bool>(
 ) {
     let value_base = layout.column_value_start(columns.start);
     let row_base = layout.row_start[columns.start];
-    parts.matrix.fill(0.0);
-    parts.gradient.fill(0.0);
-    for (k, residual) in layout.order.iter().enumerate() {
+    let record_base = layout.record_start[positions.start];
+    for k in positions {
+        let residual = layout.order[k];
         for slot in layout.slots_of(k) {
             let Part::Reduced(i) = layout.parts[slot.block as usize] else {
                 continue;
@@ -143,8 +141,9 @@ pub(super) fn assemble_columns<const FUSED: bool>(
             if !columns.contains(&i) {
                 continue;
             }
-            let record = &records[layout.record_start[k]..layout.record_start[k + 1]];
-            let dimension = problem.residuals[*residual as usize].dimension;
+            let record = &records
+                [layout.record_start[k] - record_base..layout.record_start[k + 1] - record_base];
+            let dimension = problem.residuals[residual as usize].dimension;
             let n = layout.tangent(i);
             let own = &record[slot.jacobian as usize..][..dimension * n];
             let gradient = &mut parts.gradient[layout.row_start[i] - row_base..][..n];
@@ -159,14 +158,6 @@ pub(super) fn assemble_columns<const FUSED: bool>(
                 let target = &mut parts.matrix[block.start - value_base..][..m * n];
                 add_product::<FUSED>(target, other, m, own, n);
             }
-        }
-    }
-    for i in columns {
-        let n = layout.tangent(i);
-        let start = layout.column_value_start(i) - value_base;
-        let rows = layout.row_start[i] - row_base..layout.row_start[i + 1] - row_base;
-        for (c, entry) in parts.diagonal[rows].iter_mut().enumerate() {
-            *entry = parts.matrix[start + c * n + c];
         }
     }
 }

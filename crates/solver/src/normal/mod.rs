@@ -1,6 +1,8 @@
 mod assembly;
 mod elimination;
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::divide::{divide, divide_slice};
@@ -17,12 +19,18 @@ use elimination::{right_side_of, solve_points, subtract_points};
 const POINT_GRAIN: usize = 32;
 const RESIDUAL_GRAIN: usize = 64;
 
+/// Numbers of residuals and Jacobians that are held at once, but for those of a single point: they are summed up in pieces, since those of all residuals of a
+/// long walk's map are the most memory that a solve takes.
+const RECORDS_AT_ONCE: usize = 1 << 18;
+
 /// Diagonal entries below this share of the largest are damped as if they were there.
 const SMALLEST_DAMPED_SHARE: f64 = 1e-12;
 
 /// The normal equations `H δ = −g`, with eliminated points apart from the reduced blocks.
 pub(crate) struct NormalEquations {
+    /// Residuals and Jacobians of one piece of the residuals.
     records: Vec<f64>,
+    pieces: Vec<Piece>,
     /// `H` and `g` of the points.
     pub point_hessian: Vec<Matrix3<f64>>,
     pub point_gradient: Vec<Vector3<f64>>,
@@ -62,8 +70,11 @@ impl Step {
 
 impl NormalEquations {
     pub fn new(layout: &Layout) -> Self {
+        let pieces = pieces(layout);
+        let longest = pieces.iter().map(|piece| piece.record_len(layout)).max();
         Self {
-            records: vec![0.0; layout.record_start[layout.order.len()]],
+            records: vec![0.0; longest.unwrap_or(0)],
+            pieces,
             point_hessian: vec![Matrix3::zeros(); layout.points.len()],
             point_gradient: vec![Vector3::zeros(); layout.points.len()],
             coupling: vec![0.0; layout.pair_len],
@@ -83,35 +94,14 @@ impl NormalEquations {
         values: &[f64],
     ) {
         evaluation.begin();
-        let first_alone = layout.point_first[layout.points.len()];
-        let (with_point, alone) = self.records.split_at_mut(layout.record_start[first_alone]);
-        let parts = PointParts {
-            records: with_point,
-            coupling: &mut self.coupling,
-            hessian: &mut self.point_hessian,
-            gradient: &mut self.point_gradient,
-        };
-        divide(
-            0..layout.points.len(),
-            POINT_GRAIN,
-            parts,
-            &|parts, range, middle| split_points(layout, parts, range, middle),
-            &|points, parts| {
-                let positions = layout.point_first[points.start]..layout.point_first[points.end];
-                evaluation.linearize(problem, layout, values, positions, parts.records);
-                vectorized!(assemble_points(problem, layout, points, parts));
-            },
-        );
-        divide(
-            first_alone..layout.order.len(),
-            RESIDUAL_GRAIN,
-            alone,
-            &|records: &mut [f64], range, middle| {
-                records.split_at_mut(layout.record_start[middle] - layout.record_start[range.start])
-            },
-            &|range, records| evaluation.linearize(problem, layout, values, range, records),
-        );
-        self.assemble_reduced(problem, layout);
+        self.hessian.fill(0.0);
+        self.gradient.fill(0.0);
+        for number in 0..self.pieces.len() {
+            let piece = self.pieces[number].clone();
+            self.linearize_piece(problem, layout, evaluation, values, &piece);
+            self.assemble_reduced(problem, layout, piece.positions(layout));
+        }
+        self.read_diagonal(layout);
         let points = self
             .point_hessian
             .iter()
@@ -122,12 +112,59 @@ impl NormalEquations {
                 .fold(0.0, f64::max);
     }
 
-    fn assemble_reduced(&mut self, problem: &Problem, layout: &Layout) {
+    /// Fills the records of one piece, and sums up what its points have.
+    fn linearize_piece(
+        &mut self,
+        problem: &Problem,
+        layout: &Layout,
+        evaluation: &Evaluation,
+        values: &[f64],
+        piece: &Piece,
+    ) {
+        let records = &mut self.records[..piece.record_len(layout)];
+        match piece {
+            Piece::Points(points) => {
+                let pair_values =
+                    layout.pair_value_start(points.start)..layout.pair_value_start(points.end);
+                let parts = PointParts {
+                    records,
+                    coupling: &mut self.coupling[pair_values],
+                    hessian: &mut self.point_hessian[points.clone()],
+                    gradient: &mut self.point_gradient[points.clone()],
+                };
+                divide(
+                    points.clone(),
+                    POINT_GRAIN,
+                    parts,
+                    &|parts, range, middle| split_points(layout, parts, range, middle),
+                    &|points, parts| {
+                        let first = layout.point_first[points.start];
+                        let positions = first..layout.point_first[points.end];
+                        evaluation.linearize(problem, layout, values, positions, parts.records);
+                        vectorized!(assemble_points(problem, layout, points, parts));
+                    },
+                );
+            }
+            Piece::Alone(positions) => divide(
+                positions.clone(),
+                RESIDUAL_GRAIN,
+                records,
+                &|records: &mut [f64], range, middle| {
+                    records.split_at_mut(
+                        layout.record_start[middle] - layout.record_start[range.start],
+                    )
+                },
+                &|range, records| evaluation.linearize(problem, layout, values, range, records),
+            ),
+        }
+    }
+
+    /// Adds the products of a piece to the reduced matrix.
+    fn assemble_reduced(&mut self, problem: &Problem, layout: &Layout, positions: Range<usize>) {
         let records = &self.records[..];
         let parts = ColumnParts {
             matrix: &mut self.hessian,
             gradient: &mut self.gradient,
-            diagonal: &mut self.diagonal,
         };
         divide(
             0..layout.reduced.len(),
@@ -135,9 +172,23 @@ impl NormalEquations {
             parts,
             &|parts, range, middle| split_columns(layout, parts, range, middle),
             &|columns, parts| {
-                vectorized!(assemble_columns(problem, layout, columns, records, parts))
+                let positions = positions.clone();
+                vectorized!(assemble_columns(
+                    problem, layout, columns, positions, records, parts
+                ))
             },
         );
+    }
+
+    fn read_diagonal(&mut self, layout: &Layout) {
+        for i in 0..layout.reduced.len() {
+            let n = layout.tangent(i);
+            let start = layout.column_value_start(i);
+            let rows = layout.row_start[i]..layout.row_start[i + 1];
+            for (c, entry) in self.diagonal[rows].iter_mut().enumerate() {
+                *entry = self.hessian[start + c * n + c];
+            }
+        }
     }
 
     /// Largest entry of the gradient.
@@ -278,6 +329,58 @@ impl NormalEquations {
     }
 }
 
+/// Residuals that are linearized and summed up at once.
+#[derive(Clone)]
+enum Piece {
+    /// Those of some points.
+    Points(Range<usize>),
+    /// Positions without a point.
+    Alone(Range<usize>),
+}
+
+impl Piece {
+    fn positions(&self, layout: &Layout) -> Range<usize> {
+        match self {
+            Self::Points(points) => {
+                layout.point_first[points.start]..layout.point_first[points.end]
+            }
+            Self::Alone(positions) => positions.clone(),
+        }
+    }
+
+    fn record_len(&self, layout: &Layout) -> usize {
+        let positions = self.positions(layout);
+        layout.record_start[positions.end] - layout.record_start[positions.start]
+    }
+}
+
+/// All residuals in their order, in pieces that do not depend on threads.
+fn pieces(layout: &Layout) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    let points = layout.points.len();
+    let record = |position: usize| layout.record_start[position];
+    let of_points = runs(points, |point| record(layout.point_first[point]));
+    pieces.extend(of_points.into_iter().map(Piece::Points));
+    let first = layout.point_first[points];
+    let alone = runs(layout.order.len() - first, |k| record(first + k));
+    let alone = alone.into_iter().map(|r| first + r.start..first + r.end);
+    pieces.extend(alone.map(Piece::Alone));
+    pieces
+}
+
+/// Ranges of `count` things, the `k`-th of which has records from `start(k)` on, with as many as are held at once, or a single thing that has more.
+fn runs(count: usize, start: impl Fn(usize) -> usize) -> Vec<Range<usize>> {
+    let mut runs = Vec::new();
+    let mut first = 0;
+    for next in 1..=count {
+        if next == count || start(next + 1) - start(first) > RECORDS_AT_ONCE {
+            runs.push(first..next);
+            first = next;
+        }
+    }
+    runs
+}
+
 /// `xᵀ H x` and `gᵀ x`.
 pub(crate) struct Quadratic {
     pub square: f64,
@@ -324,4 +427,20 @@ pub(crate) fn inverse_of_symmetric(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
 /// summed in the order of residuals and points whatever the task.
 fn columns_per_task(layout: &Layout) -> usize {
     layout.reduced.len().div_ceil(rayon::current_num_threads())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_are_all_in_order_and_no_longer_than_they_may_be() {
+        // The fourth is longer than what is held at once.
+        let lengths = [0, 1, RECORDS_AT_ONCE - 1, RECORDS_AT_ONCE + 7, 5, 0, 3];
+        let start = |k: usize| lengths[..k].iter().sum::<usize>();
+        let found = runs(lengths.len(), start);
+        assert_eq!(found, [0..3, 3..4, 4..7]);
+        assert!(runs(0, |_| 0).is_empty());
+        assert_eq!(runs(1, |k| 9 * k), [0..1]);
+    }
 }

@@ -14,15 +14,15 @@ use serde::{Deserialize, Serialize};
 
 use super::HdMap;
 use crate::features::triangulation::{
-    TriangulationConfig, TriangulationFailure, View, triangulate,
+    TriangulatedPoint, TriangulationConfig, TriangulationFailure, View, triangulate,
 };
 
-pub use file::read_clicks;
+pub use file::{read_clicks, read_control_points};
 
 /// An image and a keyframe are of one moment when their times differ by less, nanoseconds.
-const SAME_MOMENT_NS: i64 = 1_000_000;
+pub(crate) const SAME_MOMENT_NS: i64 = 1_000_000;
 /// Clicks farther from where the others have the mark, in standard deviations of a click, are of something else.
-const FAR_CLICK_SIGMAS: f64 = 6.0;
+pub(crate) const FAR_CLICK_SIGMAS: f64 = 6.0;
 /// Rays that meet at a smaller angle give no distance, degrees.
 const MIN_PARALLAX_DEG: f64 = 1.5;
 /// Any two rays that meet agree along them: with three, a wrong click is seen.
@@ -39,6 +39,17 @@ pub struct Click {
     pub time: Timestamp,
     /// Where, pixels.
     pub pixel: Vector2<f64>,
+}
+
+/// A mark whose place in a site's frame somebody surveyed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlPoint {
+    /// Name of the mark.
+    pub mark: String,
+    /// Where it is in the frame of the site, whose z points upwards, metres.
+    pub place_m: Vector3<f64>,
+    /// Standard deviation of that along each axis, metres.
+    pub sigmas_m: Vector3<f64>,
 }
 
 /// How marks are placed.
@@ -247,39 +258,7 @@ fn meet(name: &str, sights: &[Sight], config: &MarkConfig) -> Result<Met, String
             pixel: s.pixel,
         })
         .collect();
-    if views.len() < 2 {
-        return Err(format!(
-            "{} of its clicks are in an image whose pose is known, two are needed",
-            views.len()
-        ));
-    }
-    let far_px = FAR_CLICK_SIGMAS * config.click_sigma_px;
-    let triangulation = TriangulationConfig {
-        min_parallax_deg: MIN_PARALLAX_DEG,
-        max_reprojection_px: far_px,
-        min_views: 2,
-        min_depth_m: 0.0,
-    };
-    let found = triangulate(&views, &triangulation).map_err(|failure| match failure {
-        TriangulationFailure::TooFewViews => {
-            format!(
-                "no two of its {} clicks agree within {far_px:.1} px",
-                views.len()
-            )
-        }
-        TriangulationFailure::TooLittleParallax => format!(
-            "its rays meet at less than {MIN_PARALLAX_DEG}°: click it in images taken farther apart"
-        ),
-        TriangulationFailure::NotInFront => "its rays meet behind the cameras".to_owned(),
-    })?;
-    // Of many clicks a few that happen to agree are no mark.
-    if 2 * found.inliers.len() < views.len() {
-        return Err(format!(
-            "only {} of its {} clicks agree within {far_px:.1} px: they are on different things, or the map is bent there",
-            found.inliers.len(),
-            views.len()
-        ));
-    }
+    let found = meet_of_clicks(&views, FAR_CLICK_SIGMAS * config.click_sigma_px)?;
     let place = found.point_in_world;
     let mut met = Met {
         name: name.to_owned(),
@@ -311,6 +290,43 @@ fn meet(name: &str, sights: &[Sight], config: &MarkConfig) -> Result<Met, String
         met.of_poses = met.of_poses.zip(moved).map(|(sum, c)| sum + c);
     }
     Ok(met)
+}
+
+/// Where clicks on one mark meet: those farther from it than `far_px` are left out. An error says why they do not.
+pub(crate) fn meet_of_clicks(views: &[View], far_px: f64) -> Result<TriangulatedPoint, String> {
+    if views.len() < 2 {
+        return Err(format!(
+            "{} of its clicks are in an image whose pose is known, two are needed",
+            views.len()
+        ));
+    }
+    let triangulation = TriangulationConfig {
+        min_parallax_deg: MIN_PARALLAX_DEG,
+        max_reprojection_px: far_px,
+        min_views: 2,
+        min_depth_m: 0.0,
+    };
+    let found = triangulate(views, &triangulation).map_err(|failure| match failure {
+        TriangulationFailure::TooFewViews => {
+            format!(
+                "no two of its {} clicks agree within {far_px:.1} px",
+                views.len()
+            )
+        }
+        TriangulationFailure::TooLittleParallax => format!(
+            "its rays meet at less than {MIN_PARALLAX_DEG}°: click it in images taken farther apart"
+        ),
+        TriangulationFailure::NotInFront => "its rays meet behind the cameras".to_owned(),
+    })?;
+    // Of many clicks a few that happen to agree are no mark.
+    if 2 * found.inliers.len() < views.len() {
+        return Err(format!(
+            "only {} of its {} clicks agree within {far_px:.1} px: they are on different things, or the map is bent there",
+            found.inliers.len(),
+            views.len()
+        ));
+    }
+    Ok(found)
 }
 
 /// Covariance of a place that moves with a rig.

@@ -187,7 +187,7 @@ fn what_is_wrong_in_a_list_of_clicks_is_named() {
     assert_eq!(good.len(), 1);
     assert_eq!((good[0].mark.as_str(), good[0].pixel.x), ("door", 1.5));
     for (text, line, part) in [
-        ("", 1, "no click"),
+        ("", 1, "nothing in it"),
         ("door,cam0,12,1.5\n", 1, "4 columns"),
         ("\nthe door,cam0,12,1,2\n", 2, "one word"),
         ("door,cam0,1.2,1,2\n", 1, "stamp"),
@@ -195,6 +195,42 @@ fn what_is_wrong_in_a_list_of_clicks_is_named() {
     ] {
         match read(text).expect_err(text) {
             Error::ClickLine {
+                line: at, reason, ..
+            } => {
+                assert_eq!(at, line, "{text}");
+                assert!(reason.contains(part), "{reason}");
+            }
+            other => panic!("{other}"),
+        }
+    }
+}
+
+#[test]
+fn control_points_are_read_and_what_is_wrong_is_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("points.csv");
+    let read = |text: &str| {
+        std::fs::write(&path, text).expect("a file");
+        read_control_points(&path)
+    };
+    let good = read(
+        "mark,x_m,y_m,z_m,sigma_m\n# by total station\na, 1, -2, 0.5, 0.002\nb,5e5,5.4e6,112,0.01,0.01,0.02\n",
+    );
+    let good = good.expect("two points");
+    assert_eq!((good[0].mark.as_str(), good[0].place_m.y), ("a", -2.0));
+    assert_eq!(good[0].sigmas_m, Vector3::repeat(0.002));
+    assert_eq!(good[1].sigmas_m, Vector3::new(0.01, 0.01, 0.02));
+    for (text, line, part) in [
+        ("# nothing\n", 1, "nothing in it"),
+        ("a,1,2,3\n", 1, "4 columns"),
+        ("a b,1,2,3,0.1\n", 1, "one word"),
+        ("a,1,2,inf,0.1\n", 1, "no coordinate"),
+        ("a,1,2,1e12,0.1\n", 1, "no coordinate"),
+        ("\na,1,2,3,0\n", 2, "above zero"),
+        ("a,1,2,3,0.1\na,1,2,4,0.1\n", 2, "twice"),
+    ] {
+        match read(text).expect_err(text) {
+            Error::ControlPointLine {
                 line: at, reason, ..
             } => {
                 assert_eq!(at, line, "{text}");

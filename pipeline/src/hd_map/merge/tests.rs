@@ -90,6 +90,7 @@ impl Hall {
             points,
             provenance: format!("{:?}", self.along),
             failures: Vec::new(),
+            site: None,
         };
         HdMap::from_rows(rows, &IndexConfig::default(), &no_progress).expect("built")
     }
