@@ -9,6 +9,7 @@ mod gyroscope;
 mod mocap;
 mod refine;
 mod residual;
+mod truth;
 
 use lsfb_geometry::{Se3, StampedPose, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
@@ -24,6 +25,7 @@ use residual::Interpolated;
 pub use closed_form::Excitation;
 pub use gyroscope::{GyroAlignment, GyroSample, align_gyroscope, align_gyroscopes};
 pub use mocap::{MocapAlignment, MocapConfig, align_mocap};
+pub use truth::AlignedTruth;
 
 /// How two trajectories are aligned.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,12 +65,18 @@ const MOST_SIGMA: [f64; 3] = [0.5, 0.02, 2.0];
 /// What may stay between the positions of one walk, as a share of how they scatter, and between its orientations, degrees rms.
 const MOST_LEFT: f64 = 0.1;
 const MOST_LEFT_DEG: f64 = 20.0;
+/// Positions that stay further apart, as a share of how they scatter, are not of one walk.
+const MOST_UNLIKE: f64 = 0.5;
+/// Two systems never agree so well, metres rms.
+const LEAST_LEFT_M: f64 = 1e-6;
 /// Positions of two bodies on one device extend alike, but for what a turn on the spot makes of a lever.
 const MOST_LARGER: f64 = 1.3;
-/// Share of poses that must fit.
-const LEAST_INLIERS: f64 = 0.7;
-/// Standard deviations by which one of seven numbers of two halves may differ.
+/// Share of poses that should fit, and below which the result is not to be used.
+const LEAST_INLIERS: (f64, f64) = (0.7, 0.5);
+/// Standard deviations by which one number of two halves may differ.
 const MOST_APART: f64 = 4.0;
+/// Halves that differ by so much as well, degrees, metres and seconds, are of two mountings or two clocks: one answer is wrong for both.
+const CLEARLY_APART: [f64; 3] = [0.3, 0.005, 0.002];
 
 /// A transform with the standard deviations of its tangent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -119,29 +127,9 @@ pub struct HandEye {
     /// Reference body from estimate body.
     #[serde(skip)]
     pub body: Se3,
-}
-
-impl HandEye {
-    /// The reference as a trajectory of the estimate's body in the reference's world, on the estimate's clock: ground truth for it.
-    pub fn as_truth(
-        &self,
-        estimate: &[StampedPose],
-        reference: &[StampedPose],
-    ) -> Vec<StampedPose> {
-        let Some(first) = estimate.first() else {
-            return Vec::new();
-        };
-        let on_clock = |pose: &StampedPose| {
-            let secs = pose.time.secs_since(first.time);
-            let offset_secs =
-                self.offset_secs + self.drift * (secs - self.offset_secs - self.middle_secs);
-            StampedPose {
-                time: pose.time.plus_secs(-offset_secs),
-                world_from_rig: pose.world_from_rig * self.body,
-            }
-        };
-        reference.iter().map(on_clock).collect()
-    }
+    /// Standard deviations by which poses that do not fit were told, rad and metres.
+    #[serde(skip)]
+    sigmas: [f64; 2],
 }
 
 /// Aligns `estimate` to `reference`; both in order of time, with orientations.
@@ -205,10 +193,14 @@ pub fn align_trajectories(
         findings: Vec::new(),
         world,
         body: refined.body,
+        sigmas: refined.sigmas,
     };
     found.findings = judge(&found, &refined, halves);
-    found.findings.extend(other_unit(&found, sizes_m));
+    let unit = other_unit(&found, sizes_m);
+    let unit = unit.or_else(|| other_positions(&found, sizes_m));
+    found.findings.extend(unit);
     found.findings.extend(other_rotations(&found));
+    found.findings.extend(same(&found));
     Ok(found)
 }
 
@@ -233,6 +225,35 @@ fn other_unit(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Option<Fi
         Finding::new("unit", Verdict::Fail, "positions", what)
             .value(times, "")
             .remedy("write both in metres; what cannot know its scale is not aligned")
+    })
+}
+
+/// Positions that no place of body and world brings together.
+fn other_positions(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Option<Finding> {
+    let left_m = found.translation_m.rmse;
+    let scatter_m = reference_m.min(estimate_m);
+    (left_m > MOST_UNLIKE * scatter_m).then(|| {
+        let what = format!(
+            "the positions stay {left_m:.3} m rms apart where they scatter by {scatter_m:.3} m, however body and world are placed"
+        );
+        Finding::new("positions", Verdict::Fail, "positions", what)
+            .value(left_m, "m")
+            .limit(Limit::AtMost(MOST_UNLIKE * scatter_m))
+            .remedy("check that neither is a mirror image (left-handed axes, two exchanged) or lost; `lsfb eval` names which")
+    })
+}
+
+/// A reference that was aligned to itself.
+fn same(found: &HandEye) -> Option<Finding> {
+    let left_m = found.translation_m.rmse;
+    (left_m < LEAST_LEFT_M).then(|| {
+        let what = format!(
+            "both are one trajectory: {left_m:.1e} m rms between them is less than any two systems leave"
+        );
+        Finding::new("same", Verdict::Warn, "positions", what)
+            .value(left_m, "m")
+            .limit(Limit::AtLeast(LEAST_LEFT_M))
+            .remedy("check which files were aligned")
     })
 }
 
@@ -339,12 +360,11 @@ fn judge(found: &HandEye, refined: &Refined, halves: Option<Apart>) -> Vec<Findi
         })
         .collect();
     let share = 1.0 - found.outliers as f64 / found.poses.max(1) as f64;
-    let verdict = Verdict::Warn.unless(share >= LEAST_INLIERS);
     let what = format!("{} of {} poses do not fit", found.outliers, found.poses);
     findings.push(
-        Finding::new("outliers", verdict, "poses", what)
+        Finding::new("outliers", of_inliers(share), "poses", what)
             .value(100.0 * share, "%")
-            .limit(Limit::AtLeast(100.0 * LEAST_INLIERS))
+            .limit(Limit::AtLeast(100.0 * LEAST_INLIERS.0))
             .remedy("check that both are of one rigid body"),
     );
     // Residuals of neighbouring poses are alike: their standard deviations are then too small.
@@ -358,9 +378,32 @@ fn judge(found: &HandEye, refined: &Refined, halves: Option<Apart>) -> Vec<Findi
     findings
 }
 
+/// How good a share of poses that fit is.
+fn of_inliers(share: f64) -> Verdict {
+    match share {
+        share if share < LEAST_INLIERS.1 => Verdict::Fail,
+        share => Verdict::Warn.unless(share >= LEAST_INLIERS.0),
+    }
+}
+
+/// How bad it is that two halves differ, by standard deviations and by the differences of rotation, translation and clock themselves.
+fn of_halves(sigmas: f64, apart: [f64; 3]) -> Verdict {
+    let is_clear = apart.iter().zip(CLEARLY_APART).any(|(a, most)| *a > most);
+    match is_clear {
+        true => Verdict::Fail,
+        false => Verdict::Warn,
+    }
+    .unless(sigmas <= MOST_APART)
+}
+
 /// Whether two halves of the walk say the same, as their standard deviations promise.
 fn agreement(halves: Apart) -> Finding {
-    let verdict = Verdict::Warn.unless(halves.sigmas <= MOST_APART);
+    let apart = [
+        halves.rotation_deg,
+        halves.translation_m,
+        halves.offset_secs.abs(),
+    ];
+    let verdict = of_halves(halves.sigmas, apart);
     let what = format!(
         "the two halves of the walk differ by {:.1} mm, {:.3}° and {:.2} ms, {:.1} standard deviations",
         1000.0 * halves.translation_m,
@@ -371,7 +414,7 @@ fn agreement(halves: Apart) -> Finding {
     Finding::new("halves", verdict, "halves", what)
         .value(halves.sigmas, "σ")
         .limit(Limit::AtMost(MOST_APART))
-        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; do not trust the standard deviations")
+        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; align the parts by themselves")
 }
 
 #[cfg(test)]
