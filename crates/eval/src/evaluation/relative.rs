@@ -19,6 +19,13 @@ pub(super) fn relative_figures(
     spec: RpeConfig,
     orientations: Orientations,
 ) -> Result<RpeFigures, Error> {
+    if orientations == Orientations::Missing
+        && matches!(spec.unit, DeltaUnit::Degrees | DeltaUnit::Radians)
+    {
+        return Err(Error::NeedsOrientation {
+            purpose: "relative errors per angle",
+        });
+    }
     let estimates: Vec<StampedPose> = aligned.iter().map(|p| p.estimate).collect();
     let selected = select(&estimates, spec.delta, spec.unit, spec.selection)?;
     let errors = |relation| {
@@ -34,13 +41,6 @@ pub(super) fn relative_figures(
         Orientations::Known => errors(relation).map(Some),
         Orientations::Missing => Ok(None),
     };
-    if orientations == Orientations::Missing
-        && matches!(spec.unit, DeltaUnit::Degrees | DeltaUnit::Radians)
-    {
-        return Err(Error::NeedsOrientation {
-            purpose: "relative errors per angle",
-        });
-    }
     // A pair of the longest allowed delta is no long one for the last bit of a sum.
     let most = spec.delta * (1.0 + CONSECUTIVE_TOLERANCE) * (1.0 + 1e-9);
     Ok(RpeFigures {

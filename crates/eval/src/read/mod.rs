@@ -161,6 +161,14 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         );
         warn("rows-without-pose", what, "");
     }
+    let of_poses = rows.get(layout.header_rows..).unwrap_or_default();
+    if let Some(number) = text::cut_number(&text, of_poses) {
+        let what = format!(
+            "the file breaks off within its last number, '{}': the last pose may be any",
+            shown(number)
+        );
+        warn("cut", what, "write it again, or delete its last row");
+    }
     if let Some(assumed) = layout.assumed {
         warn(
             "columns",

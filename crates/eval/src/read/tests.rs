@@ -667,3 +667,30 @@ fn milliseconds_of_a_fast_device_are_told_by_its_speed() {
         assert!(codes(&read).is_empty(), "{unit}");
     }
 }
+
+/// Half of a file of positions, cut within a number: -0.137 was read as -0.
+#[test]
+fn a_file_that_breaks_off_within_a_number_is_told() {
+    let rows: Vec<String> = (0..30)
+        .map(|i| format!("{}.500000 {i}.250000 0.125000 -0.137342", 10 * i))
+        .collect();
+    let whole_text = rows.join("\n");
+    // A last row without an end is none the worse for it.
+    for (cut, expected) in [(0, vec![]), (3, vec!["cut"]), (7, vec!["cut"])] {
+        let text = &whole_text[..whole_text.len() - cut];
+        let said = ReadOptions {
+            stamp_unit: Some(StampUnit::Seconds),
+            ..ReadOptions::default()
+        };
+        let (_dir, path) = file(text.as_bytes());
+        let read = read_trajectory(&path, &said).expect("valid");
+        let codes: Vec<&str> = codes(&read)
+            .into_iter()
+            .filter(|code| *code != "stamp-unit")
+            .collect();
+        assert_eq!(codes, expected, "{cut}");
+    }
+    // Numbers of any length are no sign of it.
+    let short = "0 1 2 3\n1 1 2 3.25\n2 1 2 3";
+    assert!(codes(&whole(short).expect("valid")).is_empty());
+}

@@ -3,7 +3,7 @@
 use lsfb_geometry::Vector3;
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::super::{LEAST_INLIERS, MOST_APART, of_halves, of_inliers};
+use super::super::judge::{LEAST_INLIERS, MOST_APART, of_halves, of_inliers};
 use super::MocapAlignment;
 use super::filter::Smoothed;
 use super::motion::{MOUNT_PLACE, MOUNT_ROTATION};

@@ -3,6 +3,7 @@
 mod judging;
 mod made_of;
 mod medians;
+mod prepared;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,13 +11,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::thread;
 
-use lsfb_recording::{Recording, sha256_of};
+use lsfb_recording::sha256_of;
 use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::cause::Cause;
 use super::command::{filled, words};
-use super::export::{Layout, export};
+use super::export::Layout;
 use super::plan::{Plan, Scale, Sequence, System};
 use super::process::{self, Limits};
 use crate::alignment::AlignmentMode;
@@ -25,6 +26,7 @@ pub(super) use judging::{judge, read_estimate};
 use made_of::{Files, contents_of};
 pub(super) use medians::median;
 pub use medians::table_of;
+use prepared::{Prepared, prepare};
 
 /// Findings that make figures doubtful however good they are, the gravest first.
 const ODD: [&str; 11] = [
@@ -175,56 +177,6 @@ pub fn run_plan(
     let results = results.into_inner().unwrap_or_default();
     // A run that was stopped or could not be kept ends all: what was not begun has no result.
     results.into_iter().flatten().collect()
-}
-
-/// The folders and hashes that all runs of a sequence share.
-#[derive(Clone)]
-struct Prepared {
-    inputs: BTreeMap<Layout, PathBuf>,
-    made_of: String,
-}
-
-fn prepare(
-    plan: &Plan,
-    sequence: &Sequence,
-    out: &Path,
-    program_sha256: &str,
-) -> Result<Prepared, Error> {
-    let is_file = sequence.input.is_file();
-    let input = match is_file {
-        true => sha256_of(&sequence.input)?,
-        false => contents_of(&sequence.input, Some(out))?,
-    };
-    let mut inputs = BTreeMap::new();
-    for layout in plan.systems.iter().map(|system| system.layout) {
-        let place = match layout {
-            Layout::AsIs => sequence.input.clone(),
-            _ if !is_file => {
-                return Err(Error::NotExported {
-                    path: sequence.input.clone(),
-                    layout: layout.name(),
-                });
-            }
-            layout => {
-                let [input, program] = [input.as_str(), program_sha256].map(made_of::short);
-                let name = format!("input-{}-{input}-{program}", layout.name());
-                let folder = out.join(&sequence.name).join(name);
-                if !folder.exists() {
-                    export(&Recording::open(&sequence.input)?, layout, &folder)?;
-                }
-                folder
-            }
-        };
-        let place = place.canonicalize().map_err(|source| Error::Io {
-            path: place.clone(),
-            source,
-        })?;
-        inputs.insert(layout, place);
-    }
-    Ok(Prepared {
-        inputs,
-        made_of: format!("input {input}"),
-    })
 }
 
 struct Job<'a> {

@@ -189,8 +189,8 @@ fn failed(report: &MarkReport) -> Vec<String> {
     failed.map(|f| f.code.to_string()).collect()
 }
 
-/// A trajectory that leaves the floor plan at the far end by more than the reach had the errors of the other marks: 8 of 12, a few
-/// centimetres, WARN.
+/// A trajectory that leaves the floor plan at the far end by more than the reach had the errors of the other marks: 11 of 12, no error,
+/// WARN.
 #[test]
 fn marks_that_the_trajectory_misses_are_no_missing_marks() {
     let (survey, marks) = hall();
@@ -198,7 +198,7 @@ fn marks_that_the_trajectory_misses_are_no_missing_marks() {
     let straight = check(&survey, &walk(&places, |_| Vector3::zeros())).expect("found");
     assert!(failed(&straight).is_empty() && straight.far.is_empty());
     let bent = walk(&places, |k| match k {
-        9.. => Vector3::new(0.0, 0.55, 0.0),
+        11 => Vector3::new(0.0, 0.6, 0.0),
         _ => Vector3::zeros(),
     });
     for visits in [survey.visits.clone(), Vec::new()] {
@@ -207,10 +207,13 @@ fn marks_that_the_trajectory_misses_are_no_missing_marks() {
             ..survey.clone()
         };
         let found = check(&survey, &bent).expect("found");
-        assert_eq!((found.marks.len(), found.far.len()), (9, 3), "{found:?}");
+        assert_eq!((found.marks.len(), found.far.len()), (11, 1), "{found:?}");
         assert!(found.ate_m.rmse < 0.01);
-        let worst = found.far.iter().map(|f| f.distance_m).fold(0.0, f64::max);
-        assert!((worst - 0.55).abs() < 0.01, "{worst}");
+        let far = &found.far[0];
+        assert!(
+            far.mark == "m32" && (far.distance_m - 0.6).abs() < 0.01,
+            "{far:?}"
+        );
         assert_eq!(failed(&found), ["far-marks"]);
     }
     // Marks that were not visited, and a rest elsewhere: nothing is off.
