@@ -62,6 +62,7 @@ impl Default for HandEyeConfig {
 
 /// Poses fewer than this are no trajectory to align.
 const LEAST_POSES: usize = 20;
+
 /// A transform with the standard deviations of its tangent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UncertainPose {
