@@ -232,7 +232,7 @@ fn the_median_run_counts() {
 /// A system that was lost for a second and says that it stands where it was had its figure and no remark.
 #[test]
 fn what_is_odd_stands_below_the_table() {
-    let held = "{ $2 += 0.02 * sin(7 * NR); if (NR > 84 && NR < 97) { $2 = x; $3 = y; $4 = z } x = $2; y = $3; z = $4; print }";
+    let held = "{ $2 += 0.02 * sin(7 * NR); if (NR > 74 && NR < 97) { $2 = x; $3 = y; $4 = z } x = $2; y = $3; z = $4; print }";
     let script = format!("awk '{held}' ../../../../truth.tum > $1");
     let (folder, _) = setup(&system("held", "true"));
     fs::write(folder.path().join("held.sh"), script).expect("script");
