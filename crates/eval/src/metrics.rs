@@ -44,6 +44,15 @@ pub struct RelativeSpec {
 pub fn relative_errors(pairs: &[PosePair], spec: RelativeSpec) -> Result<Vec<f64>, Error> {
     let estimates: Vec<StampedPose> = pairs.iter().map(|p| p.estimate).collect();
     let selected = select(&estimates, spec.delta, spec.unit, spec.selection)?;
+    errors_of(pairs, &selected.pairs, spec)
+}
+
+/// The same of pairs that were selected before.
+pub(crate) fn errors_of(
+    pairs: &[PosePair],
+    selected: &[IndexPair],
+    spec: RelativeSpec,
+) -> Result<Vec<f64>, Error> {
     let errors: Vec<f64> = selected
         .iter()
         .filter_map(|&indices| relative_error(pairs, indices, spec.relation))

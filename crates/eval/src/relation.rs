@@ -94,14 +94,21 @@ pub enum DeltaUnit {
     Radians,
 }
 
-impl fmt::Display for DeltaUnit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+impl DeltaUnit {
+    /// As it stands behind a number.
+    pub fn symbol(self) -> &'static str {
+        match self {
             Self::Frames => "frames",
             Self::Metres => "m",
             Self::Seconds => "s",
             Self::Degrees => "deg",
             Self::Radians => "rad",
-        })
+        }
+    }
+}
+
+impl fmt::Display for DeltaUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.symbol())
     }
 }

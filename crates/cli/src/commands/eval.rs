@@ -23,6 +23,10 @@ use crate::outcome::Outcome;
 /// COLMAP's models, and poses in MCAP recordings. Unsorted and repeated stamps are sorted and counted. Stamps may be in any unit. KITTI's
 /// files carry no time: row n is at n seconds unless --estimate-times and --truth-times are given.
 ///
+/// Relative errors per metre and angle are of the pairs that evo takes (pairs_from_delta): each ends at the first pose that is --rpe-delta away or
+/// further, so that where poses are missing or sparse pairs are longer, which is warned of. Those per second are of pairs up to a fifth longer than
+/// said; pairs across gaps are left out and counted. --rpe-all-pairs takes pairs within a tenth of the delta alone.
+///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
 ///   lsfb eval walk.tum --truth truth_walk.tum --out report.html
@@ -213,6 +217,7 @@ fn text(e: &Evaluation) -> String {
                 rpe.distance_m.rmse, rpe.distance_m.max
             ),
         };
+        out += &format!(";  {} pairs", rpe.pairs);
     }
     if let (Some(signed), Some(absolute)) = (e.scale_error_percent, e.scale_error_abs_percent) {
         // Without a minus where it rounds to zero.

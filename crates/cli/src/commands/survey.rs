@@ -55,6 +55,9 @@ struct SolveArguments {
 
 /// Check a trajectory at the marks on which the device rested, or distances between points of a map.
 ///
+/// A rest further from its mark than --reach-m is in no error, and the check fails (exit code 4), as it does with fewer than half of the
+/// marks, or fewer than five: the errors of those that fit are no result.
+///
 /// Examples:
 ///   lsfb survey check floor.survey --trajectory walk.tum
 ///   lsfb survey check floor.survey --trajectory walk.tum --recording walk.mcap --out floor.html
@@ -157,7 +160,7 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         at_marks: at_marks.transpose()?,
         distances: distances(&survey, arguments)?,
     };
-    findings.extend(checked.at_marks.as_ref().map(completeness));
+    findings.extend(checked.at_marks.iter().flat_map(MarkReport::findings));
     findings.extend(checked.distances.as_ref().map(largest));
     let judgement = Judgement::new(findings);
     let view = SurveyView {
@@ -232,16 +235,6 @@ fn distances(
         Err(lsfb_eval::Error::NoMapDistance) if arguments.trajectory.is_some() => Ok(None),
         Err(error) => Err(error.into()),
     }
-}
-
-fn completeness(report: &MarkReport) -> Finding {
-    let found = report.marks.len();
-    let verdict = Verdict::Warn.unless(report.missing.is_empty());
-    let what = match report.missing.is_empty() {
-        true => format!("a rest at each of {found} marks"),
-        false => format!("no rest found at {}", report.missing.join(", ")),
-    };
-    Finding::new("marks", verdict, "trajectory", what).value(report.ate_m.rmse, "m")
 }
 
 fn largest(report: &DistanceReport) -> Finding {

@@ -26,6 +26,16 @@ pub struct RpeFigures {
     pub delta_unit: DeltaUnit,
     /// Which pairs were taken.
     pub selection: PairSelection,
+    /// How many.
+    pub pairs: usize,
+    /// Pairs left out as poses between are missing; per second alone.
+    pub left_out_pairs: usize,
+    /// How far apart the pairs are, by the median, in `delta_unit`.
+    pub median_delta: f64,
+    /// The longest of them.
+    pub longest_delta: f64,
+    /// Pairs more than a fifth longer than `delta`.
+    pub long_pairs: usize,
     /// Difference of the distances travelled, metres: needs no orientation.
     pub distance_m: Statistics,
     /// Translation in the frame of the first pose, metres; absent without orientations.

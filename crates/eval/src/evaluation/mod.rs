@@ -6,6 +6,7 @@ mod coverage;
 mod figures;
 mod input;
 mod odd_poses;
+mod relative;
 mod remarks;
 
 use lsfb_geometry::align::Alignment;
@@ -14,10 +15,10 @@ use lsfb_geometry::{Matrix6, StampedPose, Trajectory};
 use crate::alignment::{AlignmentMode, align, apply};
 use crate::association::{PosePair, associate};
 use crate::consistency::consistency;
-use crate::metrics::{RelativeSpec, absolute_errors, relative_errors};
+use crate::metrics::absolute_errors;
 use crate::read::{Orientations, TrajectoryFile};
 use crate::recall::recall;
-use crate::relation::{DeltaUnit, PoseRelation};
+use crate::relation::PoseRelation;
 use crate::smoothness::smoothness;
 use crate::{Error, Statistics};
 
@@ -27,6 +28,7 @@ pub use figures::{AlignedError, Evaluation, PoseError, RpeFigures, SmoothnessFig
 
 use coverage::{coverage, relocalizations};
 use input::{check, check_pairs};
+use relative::relative_figures;
 
 /// Judges `estimate` by `truth`. Both must be in order of time.
 pub fn evaluate(
@@ -233,41 +235,6 @@ fn by_alignment(pairs: &[PosePair]) -> Vec<AlignedError> {
             }
         })
         .collect()
-}
-
-fn relative_figures(
-    aligned: &[PosePair],
-    spec: RpeConfig,
-    orientations: Orientations,
-) -> Result<RpeFigures, Error> {
-    let errors = |relation| {
-        let spec = RelativeSpec {
-            relation,
-            delta: spec.delta,
-            unit: spec.unit,
-            selection: spec.selection,
-        };
-        statistics(&relative_errors(aligned, spec)?)
-    };
-    let with_rotations = |relation| match orientations {
-        Orientations::Known => errors(relation).map(Some),
-        Orientations::Missing => Ok(None),
-    };
-    if orientations == Orientations::Missing
-        && matches!(spec.unit, DeltaUnit::Degrees | DeltaUnit::Radians)
-    {
-        return Err(Error::NeedsOrientation {
-            purpose: "relative errors per angle",
-        });
-    }
-    Ok(RpeFigures {
-        delta: spec.delta,
-        delta_unit: spec.unit,
-        selection: spec.selection,
-        distance_m: errors(PoseRelation::PointDistance)?,
-        translation_m: with_rotations(PoseRelation::TranslationPart)?,
-        rotation_deg: with_rotations(PoseRelation::RotationAngleDeg)?,
-    })
 }
 
 fn statistics(errors: &[f64]) -> Result<Statistics, Error> {

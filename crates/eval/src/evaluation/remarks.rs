@@ -3,7 +3,7 @@
 use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::{Evaluation, conventions, odd_poses};
+use super::{Evaluation, conventions, odd_poses, relative};
 use crate::alignment::AlignmentMode;
 use crate::association::PosePair;
 use crate::read::NO_STAMPS;
@@ -122,8 +122,12 @@ pub(super) fn of(
         }
         let errors_m: Vec<f64> = found.errors.iter().map(|e| e.translation_m).collect();
         let held = odd_poses::held(pairs);
-        findings.extend(held.or_else(|| odd_poses::outliers(pairs, &errors_m)));
+        // Errors of rounding have no outliers.
+        let has_errors = best_m.is_some_and(|best_m| best_m >= LEAST_ERROR_M);
+        let outliers = || odd_poses::outliers(pairs, &errors_m).filter(|_| has_errors);
+        findings.extend(held.or_else(outliers));
     }
+    findings.extend(found.rpe.iter().filter_map(relative::deltas));
     findings.extend(few);
     let has_rotations = found.ate_rotation_deg.is_some();
     findings.extend(same(found).or_else(|| copied(pairs)).or_else(|| {
@@ -211,6 +215,18 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
             .value(100.0 * explained, "%")
             .limit(Limit::AtLeast(100.0 * LEAST_EXPLAINED))
     };
+    if scatter_m < LEAST_ERROR_M {
+        let what = format!(
+            "the ground truth stays in one place: errors of {best_m:.3} m rms are how far the estimate is from it, and nothing says that it is of this walk"
+        );
+        return Some(
+            Finding::new("follows", Verdict::Warn, "positions", what)
+                .value(scatter_m, "m")
+                .remedy(
+                    "check which file the ground truth is, and which of its columns the position",
+                ),
+        );
+    }
     if !of_all.is_finite() {
         return None;
     }

@@ -1,6 +1,7 @@
 use super::*;
 use crate::Threshold;
 use crate::pairs::PairSelection;
+use crate::relation::DeltaUnit;
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6};
 use lsfb_types::{Timestamp, Verdict};
 
@@ -388,6 +389,74 @@ fn what_nobody_asked_for_is_left_out() {
         .find(|f| f.code == "rpe")
         .expect("said");
     assert!(left_out.what.contains("1000 s apart"));
+}
+
+/// A truth that is constant (a topic that froze, a column that is none) with an estimate that walks: metres of error, and nothing was said.
+#[test]
+fn a_truth_that_does_not_move_is_told() {
+    let walk = curl(100);
+    let still = changed(&walk, |_, p| p.world_from_rig = walk[7].world_from_rig);
+    let config = EvalConfig {
+        alignment: AlignmentMode::None,
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let told = |truth: &[StampedPose], estimate: &[StampedPose]| {
+        let found = evaluate(truth, estimate, &config).expect("valid");
+        let follows = found.findings.into_iter().find(|f| f.code == "follows");
+        follows.map(|f| f.verdict)
+    };
+    for estimate in [&walk, &still] {
+        assert_eq!(told(&still, estimate), Some(Verdict::Warn));
+    }
+    assert_eq!(told(&walk, &walk), Some(Verdict::Pass));
+}
+
+/// A run that was lost for 20 s, and keyframes: pairs across gaps counted as "per 1 s" and "per 1 m", and nothing said so.
+#[test]
+fn relative_errors_across_gaps_are_left_out_or_told() {
+    let truth = curl(600);
+    let all = changed(&truth, |i, p| {
+        p.world_from_rig.translation.x += 0.01 * (i as f64).sin()
+    });
+    let config = EvalConfig {
+        rpe: Vec::new(),
+        rpe_where_possible: [DeltaUnit::Metres, DeltaUnit::Seconds]
+            .map(|unit| RpeConfig {
+                delta: 1.0,
+                unit,
+                selection: PairSelection::Consecutive,
+            })
+            .to_vec(),
+        ..EvalConfig::default()
+    };
+    let judged = |estimate: &[StampedPose]| evaluate(&truth, estimate, &config).expect("valid");
+    let told = |found: &Evaluation| -> Vec<String> {
+        let pairs = found.findings.iter().filter(|f| f.code == "rpe-pairs");
+        pairs.map(|f| f.subject.clone()).collect()
+    };
+    let per = |unit: &str| format!("relative error per 1 {unit}");
+    // The walk is slow enough for pairs of a metre at first, and poses of 10 Hz are seconds.
+    let whole = judged(&all[..100]);
+    assert_eq!(
+        (whole.rpe[1].left_out_pairs, whole.rpe[1].long_pairs),
+        (0, 0)
+    );
+    assert!(!told(&whole).contains(&per("s")), "{:?}", told(&whole));
+    let mut lost = all.clone();
+    lost.drain(200..400);
+    let lost = judged(&lost);
+    let seconds = lost.rpe[1];
+    assert_eq!((seconds.left_out_pairs, seconds.long_pairs), (1, 0));
+    assert!((seconds.longest_delta - 1.0).abs() < 1e-9, "{seconds:?}");
+    assert!(lost.rpe[0].longest_delta > 5.0, "{:?}", lost.rpe[0]);
+    assert_eq!(told(&lost), [per("m"), per("s")]);
+    // Every three seconds: none is a second long, and those per metre are longer.
+    let keyframes: Vec<StampedPose> = all.iter().step_by(30).copied().collect();
+    let keyframes = judged(&keyframes);
+    assert_eq!(keyframes.rpe.len(), 1);
+    assert_eq!(told(&keyframes), [per("m")]);
+    assert!(keyframes.findings.iter().any(|f| f.code == "rpe"));
 }
 
 #[test]

@@ -6,24 +6,28 @@ mod closed_form;
 mod continuous;
 mod correlation;
 mod gyroscope;
+mod judge;
 mod mocap;
 mod refine;
 mod residual;
+mod truth;
 
 use lsfb_geometry::{Se3, StampedPose, Vector3};
-use lsfb_types::{Finding, Limit, Verdict};
+use lsfb_types::Finding;
 use serde::Serialize;
 
 use crate::{Error, Statistics};
 use closed_form::{Moment, closed_form};
 use continuous::Continuous;
 use correlation::correlate;
-use refine::{Apart, Halved, Refined, refine};
+use judge::judge;
+use refine::{Halved, refine};
 use residual::Interpolated;
 
 pub use closed_form::Excitation;
 pub use gyroscope::{GyroAlignment, GyroSample, align_gyroscope, align_gyroscopes};
 pub use mocap::{MocapAlignment, MocapConfig, align_mocap};
+pub use truth::AlignedTruth;
 
 /// How two trajectories are aligned.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,17 +62,6 @@ impl Default for HandEyeConfig {
 
 /// Poses fewer than this are no trajectory to align.
 const LEAST_POSES: usize = 20;
-/// Standard deviations beyond which the result is not to be used: rotation and translation of the body, the clock.
-const MOST_SIGMA: [f64; 3] = [0.5, 0.02, 2.0];
-/// What may stay between the positions of one walk, as a share of how they scatter, and between its orientations, degrees rms.
-const MOST_LEFT: f64 = 0.1;
-const MOST_LEFT_DEG: f64 = 20.0;
-/// Positions of two bodies on one device extend alike, but for what a turn on the spot makes of a lever.
-const MOST_LARGER: f64 = 1.3;
-/// Share of poses that must fit.
-const LEAST_INLIERS: f64 = 0.7;
-/// Standard deviations by which one of seven numbers of two halves may differ.
-const MOST_APART: f64 = 4.0;
 
 /// A transform with the standard deviations of its tangent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -119,29 +112,9 @@ pub struct HandEye {
     /// Reference body from estimate body.
     #[serde(skip)]
     pub body: Se3,
-}
-
-impl HandEye {
-    /// The reference as a trajectory of the estimate's body in the reference's world, on the estimate's clock: ground truth for it.
-    pub fn as_truth(
-        &self,
-        estimate: &[StampedPose],
-        reference: &[StampedPose],
-    ) -> Vec<StampedPose> {
-        let Some(first) = estimate.first() else {
-            return Vec::new();
-        };
-        let on_clock = |pose: &StampedPose| {
-            let secs = pose.time.secs_since(first.time);
-            let offset_secs =
-                self.offset_secs + self.drift * (secs - self.offset_secs - self.middle_secs);
-            StampedPose {
-                time: pose.time.plus_secs(-offset_secs),
-                world_from_rig: pose.world_from_rig * self.body,
-            }
-        };
-        reference.iter().map(on_clock).collect()
-    }
+    /// Standard deviations by which poses that do not fit were told, rad and metres.
+    #[serde(skip)]
+    sigmas: [f64; 2],
 }
 
 /// Aligns `estimate` to `reference`; both in order of time, with orientations.
@@ -205,10 +178,9 @@ pub fn align_trajectories(
         findings: Vec::new(),
         world,
         body: refined.body,
+        sigmas: refined.sigmas,
     };
-    found.findings = judge(&found, &refined, halves);
-    found.findings.extend(other_unit(&found, sizes_m));
-    found.findings.extend(other_rotations(&found));
+    found.findings = judge(&found, &refined, halves, sizes_m);
     Ok(found)
 }
 
@@ -219,35 +191,6 @@ fn scatter_m(poses: &[StampedPose]) -> f64 {
         .iter()
         .map(|p| (p.world_from_rig.translation - mean).norm_squared());
     (squares.sum::<f64>() / poses.len().max(1) as f64).sqrt()
-}
-
-/// Positions that stay apart and extend differently are in different units.
-fn other_unit(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Option<Finding> {
-    let times = estimate_m / reference_m;
-    let left_m = found.translation_m.rmse;
-    let is_apart = left_m > MOST_LEFT * reference_m.min(estimate_m);
-    (is_apart && !(1.0 / MOST_LARGER..MOST_LARGER).contains(&times)).then(|| {
-        let what = format!(
-            "the estimate's positions extend {times:.3} times as far as the reference's, and {left_m:.3} m rms stay between them"
-        );
-        Finding::new("unit", Verdict::Fail, "positions", what)
-            .value(times, "")
-            .remedy("write both in metres; what cannot know its scale is not aligned")
-    })
-}
-
-/// Orientations that no turn of body and world makes alike.
-fn other_rotations(found: &HandEye) -> Option<Finding> {
-    let left_deg = found.rotation_deg.rmse;
-    (left_deg > MOST_LEFT_DEG).then(|| {
-        let what = format!(
-            "the orientations stay {left_deg:.1}° rms apart, however body and world are turned"
-        );
-        Finding::new("orientations", Verdict::Fail, "orientations", what)
-            .value(left_deg, "°")
-            .limit(Limit::AtMost(MOST_LEFT_DEG))
-            .remedy("check the order of the quaternions' components (x y z w), and that they are of the body in the world and not the inverse; `lsfb eval` names which")
-    })
 }
 
 fn statistics(values: &[f64]) -> Result<Statistics, Error> {
@@ -302,76 +245,6 @@ fn uncertain(pose: &Se3, sigma: &[f64; 6]) -> UncertainPose {
         sigma_rotation_deg: [sigma[0], sigma[1], sigma[2]].map(f64::to_degrees),
         sigma_translation_m: [sigma[3], sigma[4], sigma[5]],
     }
-}
-
-fn judge(found: &HandEye, refined: &Refined, halves: Option<Apart>) -> Vec<Finding> {
-    let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
-    let body = &found.reference_from_estimate_body;
-    let limits = [
-        (
-            "rotation of the body",
-            largest(&body.sigma_rotation_deg),
-            "°",
-            MOST_SIGMA[0],
-        ),
-        (
-            "translation of the body",
-            1000.0 * largest(&body.sigma_translation_m),
-            "mm",
-            1000.0 * MOST_SIGMA[1],
-        ),
-        (
-            "offset of the clocks",
-            1000.0 * found.sigma_offset_secs,
-            "ms",
-            MOST_SIGMA[2],
-        ),
-    ];
-    let mut findings: Vec<Finding> = limits
-        .into_iter()
-        .map(|(subject, sigma, unit, most)| {
-            let verdict = Verdict::Fail.unless(sigma <= most);
-            let what = format!("known to {sigma:.2} {unit} (1 σ)");
-            Finding::new("observability", verdict, subject, what)
-                .value(sigma, unit)
-                .limit(Limit::AtMost(most))
-                .remedy("turn the device about two axes, and longer")
-        })
-        .collect();
-    let share = 1.0 - found.outliers as f64 / found.poses.max(1) as f64;
-    let verdict = Verdict::Warn.unless(share >= LEAST_INLIERS);
-    let what = format!("{} of {} poses do not fit", found.outliers, found.poses);
-    findings.push(
-        Finding::new("outliers", verdict, "poses", what)
-            .value(100.0 * share, "%")
-            .limit(Limit::AtLeast(100.0 * LEAST_INLIERS))
-            .remedy("check that both are of one rigid body"),
-    );
-    // Residuals of neighbouring poses are alike: their standard deviations are then too small.
-    if let Some(factor) = refined.correlated_by {
-        let what =
-            format!("residuals hang together: standard deviations were raised {factor:.1} times");
-        findings
-            .push(Finding::new("correlated", Verdict::Pass, "residuals", what).value(factor, ""));
-    }
-    findings.extend(halves.map(agreement));
-    findings
-}
-
-/// Whether two halves of the walk say the same, as their standard deviations promise.
-fn agreement(halves: Apart) -> Finding {
-    let verdict = Verdict::Warn.unless(halves.sigmas <= MOST_APART);
-    let what = format!(
-        "the two halves of the walk differ by {:.1} mm, {:.3}° and {:.2} ms, {:.1} standard deviations",
-        1000.0 * halves.translation_m,
-        halves.rotation_deg,
-        1000.0 * halves.offset_secs,
-        halves.sigmas
-    );
-    Finding::new("halves", verdict, "halves", what)
-        .value(halves.sigmas, "σ")
-        .limit(Limit::AtMost(MOST_APART))
-        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; do not trust the standard deviations")
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ const PAPER_SIGMAS: [f64; 2] = [0.1, 0.054_772_256];
 /// No measurement is better than this, rad and metres: residuals of zero have no weight.
 const LEAST_SIGMAS: [f64; 2] = [1e-6, 1e-6];
 /// Norm of a residual of six in units of its standard deviations beyond which it does not fit.
-const OUTLIER: f64 = 5.5;
+pub(super) const OUTLIER: f64 = 5.5;
 /// More poses than this are thinned out evenly.
 const MOST_POSES: usize = 4000;
 /// Poses this near to a gap are left out, so that the offset can move, seconds.
@@ -44,6 +44,8 @@ pub(super) struct Refined {
     pub outliers: usize,
     /// By how much standard deviations were raised as residuals hang together.
     pub correlated_by: Option<f64>,
+    /// Standard deviations of a component of the rotation and the translation by which outliers were told, rad and metres.
+    pub sigmas: [f64; 2],
 }
 
 /// How far two results of one thing are apart.
@@ -219,6 +221,7 @@ fn without_outliers(
         poses: all.len(),
         outliers: all.len() - good.len(),
         correlated_by: (factor > 1.2).then_some(factor),
+        sigmas: limits,
     })
 }
 
@@ -227,7 +230,7 @@ fn errors(residuals: &[BodyResidual], state: &Unknowns) -> Vec<Option<Vector6<f6
     residuals.iter().map(error).collect()
 }
 
-fn weighted_norm(error: &Vector6<f64>, sigmas: [f64; 2]) -> f64 {
+pub(super) fn weighted_norm(error: &Vector6<f64>, sigmas: [f64; 2]) -> f64 {
     let turn = error.fixed_rows::<3>(0).norm_squared() / (sigmas[0] * sigmas[0]);
     let shift = error.fixed_rows::<3>(3).norm_squared() / (sigmas[1] * sigmas[1]);
     (turn + shift).sqrt()

@@ -1,7 +1,7 @@
 use super::continuous::tests::{motion, sampled};
 use super::*;
 use lsfb_geometry::{Vector6, so3};
-use lsfb_types::Timestamp;
+use lsfb_types::{Timestamp, Verdict};
 
 /// Repeatable, nearly normal numbers of σ 1.
 pub fn normal(i: usize) -> f64 {
@@ -101,7 +101,7 @@ fn gnss_beside_glasses_to_a_centimetre_and_a_millisecond() {
             found.findings
         );
         // The reference as the estimate's ground truth.
-        let truth = found.as_truth(&estimate, &reference);
+        let truth = found.as_truth(&estimate, &reference).poses;
         let judged =
             crate::evaluate(&truth, &estimate, &crate::EvalConfig::default()).expect("judged");
         assert!(
@@ -207,7 +207,91 @@ fn halves_that_contradict_each_other_are_told() {
         drift: 2e-4,
         ..Setup::new(0.4)
     };
-    assert_eq!(verdict(&drifting, 3), Verdict::Warn);
+    // 6 ms from one half to the other: truth on one clock is wrong for both.
+    assert_eq!(verdict(&drifting, 3), Verdict::Fail);
+    // Half a millisecond is no matter of a truth in centimetres.
+    let hardly = Setup {
+        drift: 2e-5,
+        ..Setup::new(0.4)
+    };
+    assert_ne!(verdict(&hardly, 3), Verdict::Fail);
+}
+
+/// Glasses that slip by 3 cm, and a clock that jumps by 100 ms, in the middle of the walk: the truth was written, with exit code 0, and is
+/// wrong by half of it throughout.
+#[test]
+fn a_mount_that_slips_and_a_clock_that_jumps_are_no_truth() {
+    let setup = Setup::new(0.4);
+    let reference = setup.reference(100.0, 60.0, motion);
+    let failed = |change: &dyn Fn(&mut StampedPose)| -> Vec<String> {
+        let mut estimate = shaken(&sampled(30.0, 60.0, motion), 0.0005, 0.002, 3);
+        let half = estimate.len() / 2;
+        estimate[half..].iter_mut().for_each(change);
+        let found =
+            align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+        let failed = found.findings.iter().filter(|f| f.verdict == Verdict::Fail);
+        failed.map(|f| f.code.to_string()).collect()
+    };
+    let slip = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.03, 0.0));
+    let slipped = failed(&|p| p.world_from_rig = p.world_from_rig * slip);
+    assert!(slipped.contains(&"halves".to_owned()), "{slipped:?}");
+    let jumped = failed(&|p| p.time = p.time.plus_secs(0.1));
+    assert!(jumped.contains(&"halves".to_owned()), "{jumped:?}");
+    assert!(failed(&|_| {}).is_empty());
+}
+
+/// Markers that are swapped for two fifths of the time: a WARN, and the swapped poses stood in the ground truth. Where the estimate jumps, the
+/// truth stays: without it the estimate would seem better than it is.
+#[test]
+fn poses_at_which_the_reference_jumps_are_no_truth() {
+    let setup = Setup::new(1.05);
+    let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.004, 3);
+    let swap = Se3::exp(&Vector6::new(0.0, 2.0, 0.3, 0.05, 0.0, 0.02));
+    let swapped_for = |frames: usize| {
+        let mut reference = shaken(&setup.reference(120.0, 60.0, motion), 0.002, 0.0002, 77);
+        let mut swapped = 0;
+        for twelve_seconds in reference.chunks_mut(1440) {
+            for pose in twelve_seconds.iter_mut().take(frames) {
+                pose.world_from_rig = pose.world_from_rig * swap;
+                swapped += 1;
+            }
+        }
+        let found = align_trajectories(&estimate, &reference, &HandEyeConfig::default());
+        (found, reference, swapped)
+    };
+    let (found, reference, swapped) = swapped_for(576);
+    let found = found.expect("aligned");
+    let truth = found.as_truth(&estimate, &reference);
+    // Those before the first and behind the last pose of the estimate cannot be compared.
+    assert!(
+        truth.left_out.abs_diff(swapped) < 40
+            && truth.poses.len() + truth.left_out == reference.len(),
+        "{} of {swapped}",
+        truth.left_out
+    );
+    assert!(truth.finding().is_some_and(|f| f.verdict == Verdict::Warn));
+    let inside = |p: &&StampedPose| {
+        let secs = p.time.secs_since(estimate[0].time);
+        (0.2..59.8).contains(&secs)
+    };
+    for pose in truth.poses.iter().filter(inside) {
+        let true_pose = setup.world * motion(pose.time.secs_since(estimate[0].time));
+        let off = true_pose.local(&pose.world_from_rig);
+        assert!(off.norm() < 0.05, "{off}");
+    }
+    assert_eq!(judge::of_inliers(0.45), Verdict::Fail);
+    assert_eq!(judge::of_inliers(0.55), Verdict::Warn);
+    // The estimate jumps by a metre for ten seconds.
+    let mut jumped = estimate.clone();
+    for pose in &mut jumped[600..900] {
+        pose.world_from_rig.translation.x += 1.0;
+    }
+    let reference = shaken(&setup.reference(120.0, 60.0, motion), 0.002, 0.0002, 77);
+    let found =
+        align_trajectories(&jumped, &reference, &HandEyeConfig::default()).expect("aligned");
+    assert!(found.outliers > 250);
+    let truth = found.as_truth(&jumped, &reference);
+    assert_eq!((truth.left_out, truth.finding()), (0, None));
 }
 
 #[test]
@@ -324,4 +408,26 @@ fn another_unit_and_another_order_of_the_quaternion_are_named() {
         pose.rotation = lsfb_geometry::UnitQuaternion::new_normalize(first);
     });
     assert!(said.contains(&"orientations".to_owned()), "{said:?}");
+}
+
+/// A mirror image was refused for how uncertain its lever is, which is no word of its cause; a file aligned to itself passed.
+#[test]
+fn a_mirror_image_and_the_reference_itself_are_named() {
+    let setup = Setup::new(0.3);
+    let reference = setup.reference(100.0, 60.0, motion);
+    let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.003, 3);
+    let codes = |estimate: &[StampedPose], reference: &[StampedPose]| -> Vec<String> {
+        let found = align_trajectories(estimate, reference, &HandEyeConfig::default());
+        let found = found.expect("aligned").findings.into_iter();
+        let told = found.filter(|f| f.verdict >= Verdict::Warn);
+        told.map(|f| f.code.to_string()).collect()
+    };
+    let mut mirrored = estimate.clone();
+    for pose in &mut mirrored {
+        pose.world_from_rig.translation.y *= -1.0;
+    }
+    let said = codes(&mirrored, &reference);
+    assert!(said.contains(&"positions".to_owned()), "{said:?}");
+    let said = codes(&reference, &reference);
+    assert!(said.contains(&"same".to_owned()), "{said:?}");
 }

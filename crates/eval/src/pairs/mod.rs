@@ -19,6 +19,9 @@ pub enum PairSelection {
 
 /// By how much of the delta a pair of [`PairSelection::All`] may miss it.
 pub const ALL_PAIRS_TOLERANCE: f64 = 0.1;
+/// By how much of the delta a pair of [`PairSelection::Consecutive`] may be longer and still be of that delta. Pairs per second that are
+/// longer are left out; those per metre and angle stay, as evo has them, and are counted.
+pub const CONSECUTIVE_TOLERANCE: f64 = 0.2;
 
 /// Two indices into the matched poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,15 +32,31 @@ pub struct IndexPair {
     pub to: usize,
 }
 
+/// Which pairs there are, and how far apart they truly are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Selected {
+    /// In the order of where they begin.
+    pub pairs: Vec<IndexPair>,
+    /// How far apart each is, in the unit of the delta.
+    pub deltas: Vec<f64>,
+    /// Pairs that were left out, as they are longer than the delta by more than [`CONSECUTIVE_TOLERANCE`]: the poses between are missing.
+    pub left_out: usize,
+}
+
 /// The pairs of `poses` that are `delta` apart. Path and angle are those of `poses`, accumulated along the way; only
 /// [`PairSelection::All`] with an angle takes the direct angle between two poses.
+///
+/// Consecutive pairs per metre or angle end at the first pose that is `delta` away or further, however far that is, as evo has them: where
+/// poses are missing, or are further apart than `delta`, they are longer. Those per second, which evo does not have, are never longer by
+/// more than [`CONSECUTIVE_TOLERANCE`]; behind such a gap the next pair begins.
 pub fn select(
     poses: &[StampedPose],
     delta: f64,
     unit: DeltaUnit,
     selection: PairSelection,
-) -> Result<Vec<IndexPair>, Error> {
+) -> Result<Selected, Error> {
     check(delta, unit)?;
+    let mut left_out = 0;
     let pairs = match (unit, selection) {
         (DeltaUnit::Frames, PairSelection::Consecutive) => {
             let step = delta as usize;
@@ -60,7 +79,15 @@ pub fn select(
         }
         (DeltaUnit::Metres, PairSelection::Consecutive) => chain(&steps(poses, path_step), delta),
         (DeltaUnit::Metres, PairSelection::All) => nearest(&sums(&steps(poses, path_step)), delta),
-        (DeltaUnit::Seconds, PairSelection::Consecutive) => chain_by_time(poses, delta),
+        (DeltaUnit::Seconds, PairSelection::Consecutive) => {
+            let chained = chain_by_time(poses, delta);
+            let all = chained.len();
+            let most = delta * (1.0 + CONSECUTIVE_TOLERANCE);
+            let secs = |p: &IndexPair| poses[p.to].time.secs_since(poses[p.from].time);
+            let kept: Vec<IndexPair> = chained.into_iter().filter(|p| secs(p) <= most).collect();
+            left_out = all - kept.len();
+            kept
+        }
         (DeltaUnit::Seconds, PairSelection::All) => nearest(&seconds(poses), delta),
         (DeltaUnit::Degrees, _) => by_angle(poses, delta.to_radians(), selection),
         (DeltaUnit::Radians, _) => by_angle(poses, delta, selection),
@@ -72,7 +99,36 @@ pub fn select(
             unit,
         });
     }
-    Ok(pairs)
+    Ok(Selected {
+        deltas: deltas(poses, &pairs, unit, selection),
+        pairs,
+        left_out,
+    })
+}
+
+/// How far apart pairs are, in the unit by which they were chosen.
+fn deltas(
+    poses: &[StampedPose],
+    pairs: &[IndexPair],
+    unit: DeltaUnit,
+    selection: PairSelection,
+) -> Vec<f64> {
+    let of_sums = |sums: Vec<f64>| pairs.iter().map(|p| sums[p.to] - sums[p.from]).collect();
+    let radians = || -> Vec<f64> {
+        let turn =
+            |p: &IndexPair| angle_step(&poses[p.from].world_from_rig, &poses[p.to].world_from_rig);
+        match selection {
+            PairSelection::Consecutive => of_sums(sums(&steps(poses, angle_step))),
+            PairSelection::All => pairs.iter().map(turn).collect(),
+        }
+    };
+    match unit {
+        DeltaUnit::Frames => pairs.iter().map(|p| (p.to - p.from) as f64).collect(),
+        DeltaUnit::Metres => of_sums(sums(&steps(poses, path_step))),
+        DeltaUnit::Seconds => of_sums(seconds(poses)),
+        DeltaUnit::Degrees => radians().into_iter().map(f64::to_degrees).collect(),
+        DeltaUnit::Radians => radians(),
+    }
 }
 
 fn check(delta: f64, unit: DeltaUnit) -> Result<(), Error> {

@@ -24,7 +24,7 @@ fn found(
     selection: PairSelection,
 ) -> Vec<(usize, usize)> {
     select(&walk(x_m), delta, unit, selection)
-        .map(|pairs| pairs.iter().map(|p| (p.from, p.to)).collect())
+        .map(|found| found.pairs.iter().map(|p| (p.from, p.to)).collect())
         .unwrap_or_default()
 }
 
@@ -84,4 +84,45 @@ fn refuses_deltas_without_meaning() {
     }
     let error = select(&walk(&EVEN), 9.0, Metres, Consecutive).expect_err("too long");
     assert!(matches!(error, Error::NoPairs { .. }), "{error}");
+}
+
+/// Poses every three seconds, and a minute without any: each pair across them counted as one "per 1 s".
+#[test]
+fn no_pair_per_second_lies_across_a_gap() {
+    let at = |secs: &[f64]| -> Vec<StampedPose> {
+        let mut poses = walk(&vec![0.0; secs.len()]);
+        for (pose, secs) in poses.iter_mut().zip(secs) {
+            pose.time = Timestamp::from_nanos((secs * 1e9) as i64);
+        }
+        poses
+    };
+    let keyframes: Vec<f64> = (0..20).map(|i| 3.0 * f64::from(i)).collect();
+    let none = select(&at(&keyframes), 1.0, Seconds, Consecutive).expect_err("none per second");
+    assert!(matches!(none, Error::NoPairs { .. }), "{none}");
+    let lost: Vec<f64> = (0..5)
+        .map(|i| 0.5 * f64::from(i))
+        .chain((0..5).map(|i| 62.0 + 0.5 * f64::from(i)))
+        .collect();
+    let found = select(&at(&lost), 1.0, Seconds, Consecutive).expect("pairs");
+    let pairs: Vec<_> = found.pairs.iter().map(|p| (p.from, p.to)).collect();
+    assert_eq!(pairs, [(0, 2), (2, 4), (5, 7), (7, 9)]);
+    assert_eq!((found.left_out, found.deltas), (1, vec![1.0; 4]));
+}
+
+/// Pairs per metre and angle are evo's; how long they are is told.
+#[test]
+fn how_far_apart_pairs_are_is_told() {
+    let x = [0.0, 0.6, 1.2, 1.2, 2.05, 4.0];
+    let found = select(&walk(&x), 1.0, Metres, Consecutive).expect("pairs");
+    assert!((found.deltas[0] - 1.2).abs() < 1e-12 && (found.deltas[1] - 2.8).abs() < 1e-12);
+    for selection in [Consecutive, All] {
+        let turned = select(&walk(&EVEN), 20.0, Degrees, selection).expect("pairs");
+        assert!(turned.deltas.iter().all(|d| (d - 20.0).abs() < 1e-9));
+    }
+    assert_eq!(
+        select(&walk(&EVEN), 2.0, Frames, All)
+            .expect("pairs")
+            .deltas,
+        [2.0; 4]
+    );
 }

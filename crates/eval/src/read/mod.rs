@@ -26,7 +26,7 @@ use decimal::decimal_nanos;
 use layout::{Content, Layout};
 use order::{Unordered, put_in_order};
 use row::Row;
-use stamp_unit::StampSize;
+use stamp_unit::{StampSize, speed_in_milliseconds_m_s};
 use text::{Line, shown};
 
 pub use columns::Columns;
@@ -161,6 +161,14 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         );
         warn("rows-without-pose", what, "");
     }
+    let of_poses = rows.get(layout.header_rows..).unwrap_or_default();
+    if let Some(number) = text::cut_number(&text, of_poses) {
+        let what = format!(
+            "the file breaks off within its last number, '{}': the last pose may be any",
+            shown(number)
+        );
+        warn("cut", what, "write it again, or delete its last row");
+    }
     if let Some(assumed) = layout.assumed {
         warn(
             "columns",
@@ -191,8 +199,11 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         return Err(nothing());
     }
     let is_matrix = layout.content == Content::Matrix;
+    // Seconds that nobody said, and that nothing was said of.
+    let mut is_guess = false;
     let times = if let (true, Some(times)) = (is_matrix, &options.times) {
         let (times, remark) = times::read(times, path, read.len(), options.stamp_unit)?;
+        is_guess = options.stamp_unit.is_none() && remark.is_none();
         if let Some(remark) = remark {
             warn("stamp-unit", remark, "say the unit of the stamps");
         }
@@ -211,6 +222,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
             .collect();
         let said = options.stamp_unit.or(layout.unit);
         let (times, remark) = stamp_times(path, &stamps, said)?;
+        is_guess = said.is_none() && remark.is_none();
         if let Some(remark) = remark {
             warn("stamp-unit", remark, "say the unit of the stamps");
         }
@@ -232,10 +244,18 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         true => Orientations::Known,
         false => Orientations::Missing,
     };
-    Ok(TrajectoryFile {
-        success,
-        ..put_in_order(path, poses, orientations, findings)?
-    })
+    let mut file = put_in_order(path, poses, orientations, findings)?;
+    if is_guess && let Some(speed_m_s) = speed_in_milliseconds_m_s(&file.poses) {
+        let what = format!(
+            "the path is followed at {speed_m_s:.2} mm/s, with stamps read as seconds; were they milliseconds, at {speed_m_s:.2} m/s"
+        );
+        file.findings.push(
+            Finding::new("stamp-unit", Verdict::Warn, name(path), what)
+                .value(speed_m_s, "m/s")
+                .remedy("say the unit of the stamps"),
+        );
+    }
+    Ok(TrajectoryFile { success, ..file })
 }
 
 /// The poses of a file that says what it holds, in order of time, where every pose has a rotation.

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use lsfb_geometry::StampedPose;
 use lsfb_types::median;
 
 /// Unit of a file's stamps.
@@ -24,6 +25,12 @@ const RATES_HZ: std::ops::RangeInclusive<f64> = 0.5..=5000.0;
 const ABSURD_STEP_SECS: f64 = 1000.0;
 /// Poses so far apart may be those of keyframes, or milliseconds.
 const DOUBTFUL_STEP_SECS: f64 = 10.0;
+/// Poses so far apart in seconds come slower than any device's but keyframes' and those of a survey, or are milliseconds at 2 kHz and below.
+const SLOW_STEP_SECS: f64 = 0.5;
+/// A body that moves is at least so fast, m/s, and one that is carried, rides or flies at most.
+const SPEEDS_M_S: std::ops::RangeInclusive<f64> = 0.1..=10.0;
+/// Slower than this it rests, m/s.
+const RESTING_M_S: f64 = 0.02;
 
 impl StampUnit {
     const ALL: [Self; 4] = [
@@ -124,6 +131,22 @@ impl StampSize {
         let is_fine = step_secs == 0.0 || (1e-5..DOUBTFUL_STEP_SECS).contains(&step_secs);
         (!is_fine).then_some(step_secs)
     }
+}
+
+/// Speed in milliseconds, m/s, of a path whose stamps were read as seconds, where in seconds it is slower than a body that moves, and in
+/// milliseconds it is not: poses every 5 ms come every five seconds then, as those of keyframes do.
+pub(super) fn speed_in_milliseconds_m_s(poses: &[StampedPose]) -> Option<f64> {
+    let secs: Vec<f64> = poses
+        .windows(2)
+        .map(|w| w[1].time.secs_since(w[0].time))
+        .collect();
+    let lengths = poses
+        .windows(2)
+        .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm());
+    let speed_m_s = lengths.sum::<f64>() / secs.iter().sum::<f64>();
+    let faster_m_s = 1000.0 * speed_m_s;
+    let is_slow = median(secs).is_some_and(|step| step >= SLOW_STEP_SECS);
+    (is_slow && speed_m_s < RESTING_M_S && SPEEDS_M_S.contains(&faster_m_s)).then_some(faster_m_s)
 }
 
 #[cfg(test)]

@@ -629,3 +629,68 @@ fn a_path_counts_as_it_was_last_said_and_frames_are_named() {
         assert!(error.contains(said), "{error}");
     }
 }
+
+/// A device at 200 Hz with stamps in milliseconds since its start has one every "5 s", as keyframes have: it was read as seconds, and both
+/// files being so, jerk and errors per second were a thousand times too small, without a remark.
+#[test]
+fn milliseconds_of_a_fast_device_are_told_by_its_speed() {
+    let walk = |step: f64, metres: f64| -> String {
+        (0..200)
+            .map(|i| {
+                format!(
+                    "{} {} 0 0 0 0 0 1\n",
+                    step * f64::from(i),
+                    metres * f64::from(i)
+                )
+            })
+            .collect()
+    };
+    // 1.2 m/s at 200 Hz, also with the stamps of keyframes and of a rest.
+    for (step, metres, expected) in [
+        (5.0, 0.006, vec!["stamp-unit"]),
+        (2.0, 0.0024, vec!["stamp-unit"]),
+        (0.005, 0.006, vec![]),
+        (5.0, 6.0, vec![]),
+        (1.0, 0.0, vec![]),
+        (1.0, 1e-5, vec![]),
+    ] {
+        let read = whole(&walk(step, metres)).expect("valid");
+        assert_eq!(codes(&read), expected, "{step} s, {metres} m");
+    }
+    let (_dir, path) = file(walk(5.0, 0.006).as_bytes());
+    for unit in [StampUnit::Milliseconds, StampUnit::Seconds] {
+        let said = ReadOptions {
+            stamp_unit: Some(unit),
+            ..ReadOptions::default()
+        };
+        let read = read_trajectory(&path, &said).expect("said");
+        assert!(codes(&read).is_empty(), "{unit}");
+    }
+}
+
+/// Half of a file of positions, cut within a number: -0.137 was read as -0.
+#[test]
+fn a_file_that_breaks_off_within_a_number_is_told() {
+    let rows: Vec<String> = (0..30)
+        .map(|i| format!("{}.500000 {i}.250000 0.125000 -0.137342", 10 * i))
+        .collect();
+    let whole_text = rows.join("\n");
+    // A last row without an end is none the worse for it.
+    for (cut, expected) in [(0, vec![]), (3, vec!["cut"]), (7, vec!["cut"])] {
+        let text = &whole_text[..whole_text.len() - cut];
+        let said = ReadOptions {
+            stamp_unit: Some(StampUnit::Seconds),
+            ..ReadOptions::default()
+        };
+        let (_dir, path) = file(text.as_bytes());
+        let read = read_trajectory(&path, &said).expect("valid");
+        let codes: Vec<&str> = codes(&read)
+            .into_iter()
+            .filter(|code| *code != "stamp-unit")
+            .collect();
+        assert_eq!(codes, expected, "{cut}");
+    }
+    // Numbers of any length are no sign of it.
+    let short = "0 1 2 3\n1 1 2 3.25\n2 1 2 3";
+    assert!(codes(&whole(short).expect("valid")).is_empty());
+}

@@ -55,6 +55,24 @@ pub(super) fn with_points(text: String) -> String {
     }
 }
 
+/// The last number of a file that breaks off within it: no line ends there, and it has fewer digits behind the point than that of any other row.
+/// Whoever writes rows without an end behind the last one writes numbers alike.
+pub(super) fn cut_number<'a>(text: &str, rows: &[Line<'a>]) -> Option<&'a str> {
+    let digits = |row: &Line<'a>| -> (&'a str, usize) {
+        let number = row.text.rsplit([',', ';', ' ', '\t']).next().unwrap_or("");
+        let behind = number.split_once('.').map_or("", |(_, behind)| behind);
+        let count = behind.bytes().take_while(u8::is_ascii_digit).count();
+        (number, count)
+    };
+    if text.ends_with(['\n', '\r']) {
+        return None;
+    }
+    let (last, others) = rows.split_last()?;
+    let least = others.iter().map(|row| digits(row).1).min()?;
+    let (number, count) = digits(last);
+    (count < least).then_some(number)
+}
+
 /// Whether a file begins like an MCAP file.
 pub(super) fn is_mcap(path: &Path) -> Result<bool, Error> {
     let io = |source| Error::Io {

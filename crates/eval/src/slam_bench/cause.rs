@@ -42,6 +42,16 @@ pub enum Cause {
     },
 }
 
+impl Cause {
+    /// Whether it was found when the trajectory was judged, and not when the program ended.
+    pub(super) fn is_of_judge(&self) -> bool {
+        matches!(
+            self,
+            Self::NeverInitialised | Self::Lost { .. } | Self::NotJudged { .. }
+        )
+    }
+}
+
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -17,5 +17,5 @@ pub use cause::Cause;
 pub use export::{HiddenRegions, Layout, camera_name, export, export_without};
 pub use pages::page_of;
 pub use plan::{Plan, Scale, Sequence, System, read_plan};
-pub use results::{RunResult, run_plan, table_of};
+pub use results::{Finished, RunConfig, RunResult, run_plan, table_of};
 pub use table::{Cell, Column, ColumnCount, Figure, MarkedTable, Metric, SlamRow, SlamTable};

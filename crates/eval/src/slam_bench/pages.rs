@@ -77,7 +77,7 @@ mod tests {
     use lsfb_types::no_progress;
 
     use super::super::results::run_plan;
-    use super::super::results::tests::{setup, system};
+    use super::super::results::tests::{CONFIG, setup, system};
     use super::*;
 
     #[test]
@@ -87,7 +87,7 @@ mod tests {
         let systems = [system("noisy", noisy), system("crash", "exit 7")];
         let (folder, plan) = setup(&systems.concat());
         let out = folder.path().join("out");
-        let results = run_plan(&plan, &out, &no_progress).expect("run");
+        let results = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
         let page = page_of(&plan, &out, &plan.sequences[0], &results).expect("readable");
         let page = page.expect("one system with a result");
         for shown in [
@@ -106,7 +106,7 @@ mod tests {
     fn a_sequence_that_all_failed_has_no_page() {
         let (folder, plan) = setup(&system("crash", "exit 7"));
         let out = folder.path().join("out");
-        let results = run_plan(&plan, &out, &no_progress).expect("run");
+        let results = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
         let page = page_of(&plan, &out, &plan.sequences[0], &results).expect("readable");
         assert_eq!(page, None);
     }

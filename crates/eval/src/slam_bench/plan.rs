@@ -67,6 +67,9 @@ pub struct System {
     pub name: String,
     /// The command, with `{input}`, `{out}`, `{trajectory}`, `{sequence}`, `{run}`; started without a shell.
     pub command: String,
+    /// Files and folders that the result depends on beside those that the command names: settings, scripts, vocabularies, what a shell starts.
+    #[serde(default)]
+    pub files: Vec<PathBuf>,
     /// What `{input}` is.
     #[serde(default)]
     pub layout: Layout,
@@ -144,6 +147,9 @@ pub fn read_plan(path: &Path) -> Result<Plan, Error> {
     for sequence in &mut plan.sequences {
         sequence.input = folder.join(&sequence.input);
         sequence.truth = folder.join(&sequence.truth);
+    }
+    for file in plan.systems.iter_mut().flat_map(|s| &mut s.files) {
+        *file = folder.join(&*file);
     }
     Ok(plan)
 }

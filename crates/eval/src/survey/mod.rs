@@ -26,7 +26,7 @@ mod rests;
 mod snooping;
 mod solution;
 
-pub use check::{MarkError, MarkReport, check_marks};
+pub use check::{FarMark, MarkError, MarkReport, check_marks};
 pub use distances::{DistanceError, DistanceReport, compare_distances};
 pub use file::{Survey, Tape, TapeKind, read_survey};
 pub use inertial_rests::{InertialRests, inertial_rests};

@@ -21,7 +21,9 @@ use crate::outcome::Outcome;
 ///
 /// Each may have its own world, its own body and its own clock. Found are where one body sits on the other, how the worlds lie, and the
 /// offset of the clocks, with standard deviations; a motion that does not show them is refused (turn about two axes). With --out the
-/// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`.
+/// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`, without the poses at which it jumps
+/// (swapped markers). Nothing is written (exit code 4) where fewer than half of the poses fit, or where two halves of the walk clearly differ:
+/// the mounting slipped, or a clock jumped.
 ///
 /// Motion capture is better aligned to an IMU on the device (--imu, a recording or a csv): the path of the IMU that is written is smoother
 /// than the markers' jitter, and goes on for a while where they are dropped or swapped.
@@ -118,6 +120,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = align_trajectories(&estimate.poses, &reference.poses, &config)?;
     let mut findings = [estimate.findings, reference.findings].concat();
     findings.extend(found.findings.iter().cloned());
+    let truth = found.as_truth(&estimate.poses, &reference.poses);
+    findings.extend(truth.finding());
     finish(
         &Aligned {
             name: name_of(input),
@@ -125,7 +129,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             found: &found,
             text: text(&found),
         },
-        || found.as_truth(&estimate.poses, &reference.poses),
+        || truth.poses,
         arguments,
         context,
     )

@@ -2,20 +2,24 @@
 
 use std::path::PathBuf;
 
-use lsfb_eval::slam_bench::{RunResult, SlamTable, page_of, read_plan, run_plan, table_of};
+use lsfb_eval::slam_bench::{
+    Finished, RunConfig, RunResult, SlamTable, page_of, read_plan, run_plan, table_of,
+};
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
+use crate::standing::program_sha256;
 
 /// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images, stamped). The median of several runs counts; ×
 /// stands where more than half failed, with the cause. Runs that failed beside others, and trajectories that are the truth itself or are odd
-/// otherwise, are named below the table. Finished runs are not repeated, not even with --force, unless a file of their input changed. Writes table.txt, .csv, .tex and .html, and
-/// a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
+/// otherwise, are named below the table. A finished run is repeated where its command, its program, a file that the command names or the plan
+/// lists (files = [...]: what a shell starts, packages), or a file of its input changed, or with --again; not with --force, which replaces the
+/// tables. All are judged anew each time. Writes table.txt, .csv, .tex and .html, and a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
@@ -28,6 +32,9 @@ pub struct Arguments {
     /// Folder for inputs, runs and tables.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
+    /// Repeat all runs, also those that are finished.
+    #[arg(long)]
+    again: bool,
 }
 
 #[derive(Serialize)]
@@ -52,7 +59,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for page in &pages {
         context.claim(page, &[&arguments.plan])?;
     }
-    let runs = run_plan(&plan, &arguments.out, &|p| context.show(p))?;
+    let program_sha256 = program_sha256()?;
+    let config = RunConfig {
+        program_sha256: &program_sha256,
+        finished: match arguments.again {
+            true => Finished::Repeat,
+            false => Finished::Keep,
+        },
+    };
+    let runs = run_plan(&plan, &arguments.out, config, &|p| context.show(p))?;
     let table = table_of(&plan, &runs);
     let marked = table.marked();
     let texts = [

@@ -3,6 +3,7 @@
 use lsfb_geometry::Vector3;
 use lsfb_types::{Finding, Limit, Verdict};
 
+use super::super::judge::{LEAST_INLIERS, MOST_APART, of_halves, of_inliers};
 use super::MocapAlignment;
 use super::filter::Smoothed;
 use super::motion::{MOUNT_PLACE, MOUNT_ROTATION};
@@ -11,14 +12,10 @@ use super::outcome::Noise;
 /// Standard deviations beyond which the result is not to be used: rotation, degrees, and position, metres, of the IMU on the markers' body,
 /// clock, seconds.
 const MOST_SIGMA: [f64; 3] = [0.2, 0.002, 0.001];
-/// Share of the poses that must fit, and below which the result is not to be used.
-const LEAST_INLIERS: (f64, f64) = (0.7, 0.5);
 /// Share of the time in which the path should be certain.
 const LEAST_GIVEN: f64 = 0.9;
 /// Gravity on the ground, m/s²: beyond, the accelerometer's scale or unit is wrong.
 const GRAVITY_M_S2: std::ops::RangeInclusive<f64> = 9.6..=10.0;
-/// Standard deviations by which one of six numbers of two halves may differ.
-const MOST_APART: f64 = 4.0;
 
 pub(super) fn judge(
     found: &MocapAlignment,
@@ -84,15 +81,11 @@ fn observability(found: &MocapAlignment) -> Vec<Finding> {
 
 fn outliers(found: &MocapAlignment) -> Finding {
     let share = 1.0 - found.outliers as f64 / found.poses.max(1) as f64;
-    let verdict = match share {
-        share if share < LEAST_INLIERS.1 => Verdict::Fail,
-        share => Verdict::Warn.unless(share >= LEAST_INLIERS.0),
-    };
     let what = format!(
         "{} of {} poses do not fit; at most {:.2} s were bridged by the IMU",
         found.outliers, found.poses, found.longest_gap_secs
     );
-    Finding::new("outliers", verdict, "poses", what)
+    Finding::new("outliers", of_inliers(share), "poses", what)
         .value(100.0 * share, "%")
         .limit(Limit::AtLeast(100.0 * LEAST_INLIERS.0))
         .remedy("check the markers, and that both are on one rigid body")
@@ -130,11 +123,13 @@ fn agreement(halves: &[Smoothed; 2], factor: f64) -> Finding {
     let sigmas = (MOUNT_ROTATION..MOUNT_PLACE + 3)
         .map(|k| between[k].abs() / sigma(k))
         .fold(0.0, f64::max);
-    let verdict = Verdict::Warn.unless(sigmas <= MOST_APART);
+    let place_m = between.fixed_rows::<3>(MOUNT_PLACE).norm();
+    let rotation_deg = between.fixed_rows::<3>(MOUNT_ROTATION).norm().to_degrees();
+    // The clock may drift: its halves are not compared.
+    let verdict = of_halves(sigmas, [rotation_deg, place_m, 0.0]);
     let what = format!(
-        "the two halves of the time differ by {:.2} mm and {:.3}°, {sigmas:.1} standard deviations",
-        1000.0 * between.fixed_rows::<3>(MOUNT_PLACE).norm(),
-        between.fixed_rows::<3>(MOUNT_ROTATION).norm().to_degrees(),
+        "the two halves of the time differ by {:.2} mm and {rotation_deg:.3}°, {sigmas:.1} standard deviations",
+        1000.0 * place_m,
     );
     Finding::new("halves", verdict, "halves", what)
         .value(sigmas, "σ")

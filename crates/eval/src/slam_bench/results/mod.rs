@@ -1,35 +1,41 @@
 //! Runs of a plan: started, limited, judged, remembered.
 
 mod judging;
+mod made_of;
 mod medians;
+mod prepared;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs;
-use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::thread;
 
-use lsfb_recording::{Recording, sha256_of};
+use lsfb_recording::sha256_of;
 use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::cause::Cause;
 use super::command::{filled, words};
-use super::export::{Layout, export};
+use super::export::Layout;
 use super::plan::{Plan, Scale, Sequence, System};
 use super::process::{self, Limits};
 use crate::alignment::AlignmentMode;
 use crate::{Error, ReadOptions, read_trajectory};
 pub(super) use judging::{judge, read_estimate};
+use made_of::{Files, contents_of};
 pub(super) use medians::median;
 pub use medians::table_of;
+use prepared::{Prepared, prepare};
 
 /// Findings that make figures doubtful however good they are, the gravest first.
-const ODD: [&str; 8] = [
+const ODD: [&str; 11] = [
     "same",
     "mirrored",
+    "inverse",
     "follows",
+    "held",
+    "stamp-unit",
     "clock",
     "lever",
     "axes",
@@ -46,8 +52,10 @@ pub struct RunResult {
     pub system: String,
     /// Number of the run, from one.
     pub run: usize,
-    /// What it was made of: another command, input, truth or limit makes another run.
+    /// What it was made of: another command, program, file that is named, input or limit makes another run.
     pub made_of: String,
+    /// SHA-256 of its trajectory, in hexadecimal; absent where it wrote none.
+    pub trajectory_sha256: Option<String>,
     /// Time it took, seconds.
     pub wall_secs: f64,
     /// Largest memory, MB.
@@ -81,25 +89,50 @@ fn folder_of(out: &Path, sequence: &str, system: &str, run: usize) -> PathBuf {
     out.join(sequence).join(system).join(format!("run-{run}"))
 }
 
-/// Runs what has not been run before; results lie in `out` by sequence, system and run.
+/// What becomes of runs that are finished.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Finished {
+    /// They stand where they were made of the same.
+    #[default]
+    Keep,
+    /// They are run again.
+    Repeat,
+}
+
+/// How a plan is run.
+#[derive(Clone, Copy, Debug)]
+pub struct RunConfig<'a> {
+    /// SHA-256 of this program, in hexadecimal: inputs exported by another one are exported again.
+    pub program_sha256: &'a str,
+    /// Runs that are finished.
+    pub finished: Finished,
+}
+
+/// Runs what has not been run before, and judges all; results lie in `out` by sequence, system and run.
 pub fn run_plan(
     plan: &Plan,
     out: &Path,
+    config: RunConfig<'_>,
     progress: ProgressFn<'_>,
 ) -> Result<Vec<RunResult>, Error> {
     let mut jobs = Vec::new();
+    let mut files = Files::default();
     for sequence in &plan.sequences {
-        let prepared = prepare(plan, sequence, out)?;
+        let prepared = prepare(plan, sequence, out, config.program_sha256)?;
         for system in &plan.systems {
             for run in 1..=plan.runs {
-                jobs.push(Job {
+                let mut job = Job {
                     plan,
                     sequence,
                     system,
                     run,
+                    finished: config.finished,
                     folder: folder_of(out, &sequence.name, &system.name, run),
                     prepared: prepared.clone(),
-                });
+                    made_of: String::new(),
+                };
+                job.made_of = job.made_of(&mut files, config.program_sha256)?;
+                jobs.push(job);
             }
         }
     }
@@ -146,105 +179,81 @@ pub fn run_plan(
     results.into_iter().flatten().collect()
 }
 
-/// The folders and hashes that all runs of a sequence share.
-#[derive(Clone)]
-struct Prepared {
-    inputs: BTreeMap<Layout, PathBuf>,
-    made_of: String,
-}
-
-fn prepare(plan: &Plan, sequence: &Sequence, out: &Path) -> Result<Prepared, Error> {
-    let is_file = sequence.input.is_file();
-    let input = match is_file {
-        true => sha256_of(&sequence.input)?,
-        false => contents_of(&sequence.input, out)?,
-    };
-    let truth = sha256_of(&sequence.truth)?;
-    let mut inputs = BTreeMap::new();
-    for layout in plan.systems.iter().map(|system| system.layout) {
-        let place = match layout {
-            Layout::AsIs => sequence.input.clone(),
-            _ if !is_file => {
-                return Err(Error::NotExported {
-                    path: sequence.input.clone(),
-                    layout: layout.name(),
-                });
-            }
-            layout => {
-                let name = format!("input-{}-{}", layout.name(), &input[..12.min(input.len())]);
-                let folder = out.join(&sequence.name).join(name);
-                if !folder.exists() {
-                    export(&Recording::open(&sequence.input)?, layout, &folder)?;
-                }
-                folder
-            }
-        };
-        let place = place.canonicalize().map_err(|source| Error::Io {
-            path: place.clone(),
-            source,
-        })?;
-        inputs.insert(layout, place);
-    }
-    Ok(Prepared {
-        inputs,
-        made_of: format!("input {input}, truth {truth}"),
-    })
-}
-
-/// A folder that systems read: another file, or another size or time of one, makes another run. What is below `out` is no input.
-fn contents_of(folder: &Path, out: &Path) -> Result<String, Error> {
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        move |source| Error::Io { path, source }
-    };
-    let out = out.canonicalize().ok();
-    let mut files = BTreeSet::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).map_err(io(&folder))? {
-            let path = entry.map_err(io(&folder))?.path();
-            let about = fs::symlink_metadata(&path).map_err(io(&path))?;
-            if about.is_dir() {
-                let is_out = out.is_some() && path.canonicalize().ok() == out;
-                folders.extend((!is_out).then_some(path));
-            } else {
-                let changed = about.modified().map_err(io(&path))?;
-                files.insert((path, about.len(), changed));
-            }
-        }
-    }
-    let mut hasher = DefaultHasher::new();
-    files.hash(&mut hasher);
-    let (place, count, hash) = (folder.display(), files.len(), hasher.finish());
-    Ok(format!("{place} ({count} files, {hash:016x})"))
-}
-
 struct Job<'a> {
     plan: &'a Plan,
     sequence: &'a Sequence,
     system: &'a System,
     run: usize,
+    finished: Finished,
     folder: PathBuf,
     prepared: Prepared,
+    made_of: String,
 }
 
 impl Job<'_> {
-    /// What was found before, where it was made of the same, or what is found now.
+    /// What was run before, where it was made of the same, or what is run now, judged: judging is done anew, as truth and judge may be others.
     fn result(
         &self,
         check: &dyn Fn() -> Result<(), lsfb_types::Stopped>,
     ) -> Result<RunResult, Error> {
-        let io = |source| Error::Io {
+        let io = |source| self.io(source);
+        let kept = self.folder.join("result.json");
+        let ended = match self.finished_before(&kept) {
+            Some(before) => before,
+            None => self.run_now(check)?,
+        };
+        let result = match ended.cause {
+            Some(_) => ended,
+            None => self.judged(ended)?,
+        };
+        let text = serde_json::to_string_pretty(&result).map_err(|error| io(error.into()))?;
+        let half = self.folder.join("result.part");
+        fs::write(&half, text).map_err(io)?;
+        fs::rename(&half, &kept).map_err(io)?;
+        Ok(result)
+    }
+
+    fn io(&self, source: std::io::Error) -> Error {
+        Error::Io {
             path: self.folder.clone(),
             source,
-        };
-        let kept = self.folder.join("result.json");
-        let made_of = self.made_of();
-        let before = fs::read_to_string(&kept).ok();
-        let before: Option<RunResult> = before.and_then(|text| serde_json::from_str(&text).ok());
-        if let Some(before) = before.filter(|b| b.made_of == made_of) {
-            return Ok(before);
         }
+    }
+
+    fn bad(&self, what: String) -> Error {
+        Error::BadPlan {
+            path: self.folder.clone(),
+            what: format!("{}: {what}", self.system.name),
+        }
+    }
+
+    /// A run that stands, as it was before it was judged.
+    fn finished_before(&self, kept: &Path) -> Option<RunResult> {
+        let text = match self.finished {
+            Finished::Keep => fs::read_to_string(kept).ok()?,
+            Finished::Repeat => return None,
+        };
+        let before: RunResult = serde_json::from_str(&text).ok()?;
+        let trajectory_sha256 = hash_of(&self.folder.join(&before.trajectory)).ok()?;
+        let stands =
+            before.made_of == self.made_of && before.trajectory_sha256 == trajectory_sha256;
+        stands.then_some(RunResult {
+            covered: None,
+            se3_m: None,
+            scale_percent: None,
+            sim3_m: None,
+            cause: before.cause.filter(|cause| !cause.is_of_judge()),
+            remark: None,
+            ..before
+        })
+    }
+
+    fn run_now(
+        &self,
+        check: &dyn Fn() -> Result<(), lsfb_types::Stopped>,
+    ) -> Result<RunResult, Error> {
+        let io = |source| self.io(source);
+        let bad = |what| self.bad(what);
         // A trajectory of an earlier run would be judged as this one's.
         if self.folder.exists() {
             fs::remove_dir_all(&self.folder).map_err(io)?;
@@ -252,15 +261,7 @@ impl Job<'_> {
         fs::create_dir_all(&self.folder).map_err(io)?;
         let folder = self.folder.canonicalize().map_err(io)?;
         let values = self.values(&folder);
-        let bad = |what: String| Error::BadPlan {
-            path: self.folder.clone(),
-            what: format!("{}: {what}", self.system.name),
-        };
-        let words = words(&self.system.command).map_err(bad)?;
-        let words = words
-            .iter()
-            .map(|word| filled(word, &values))
-            .collect::<Result<Vec<_>, _>>();
+        let words = self.words(&values)?;
         // A folder of runs may be moved.
         let within = |template: &String| {
             let path = PathBuf::from(filled(template, &values)?);
@@ -275,12 +276,13 @@ impl Job<'_> {
             time_secs: self.plan.time_limit_secs,
             memory_mb: self.plan.memory_limit_mb,
         };
-        let ended = process::run(&words.map_err(bad)?, &folder, limits, check).map_err(io)??;
-        let empty = RunResult {
+        let ended = process::run(&words, &folder, limits, check).map_err(io)??;
+        Ok(RunResult {
             sequence: self.sequence.name.clone(),
             system: self.system.name.clone(),
             run: self.run,
-            made_of,
+            made_of: self.made_of.clone(),
+            trajectory_sha256: hash_of(&folder.join(&trajectory))?,
             wall_secs: ended.wall_secs,
             peak_mb: ended.peak_mb,
             covered: None,
@@ -291,34 +293,39 @@ impl Job<'_> {
             remark: None,
             trajectory,
             times: times.map_err(bad)?,
-        };
-        let result = match empty.cause {
-            Some(_) => empty,
-            None => self.judged(empty)?,
-        };
-        let text = serde_json::to_string_pretty(&result).map_err(|error| io(error.into()))?;
-        let half = self.folder.join("result.part");
-        fs::write(&half, text).map_err(io)?;
-        fs::rename(&half, &kept).map_err(io)?;
-        Ok(result)
+        })
     }
 
-    fn made_of(&self) -> String {
+    fn words(&self, values: &BTreeMap<&str, String>) -> Result<Vec<String>, Error> {
+        let words = words(&self.system.command).map_err(|what| self.bad(what))?;
+        let words = words.iter().map(|word| filled(word, values));
+        words
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|what| self.bad(what))
+    }
+
+    fn made_of(&self, files: &mut Files, program_sha256: &str) -> Result<String, Error> {
         let (plan, system) = (self.plan, self.system);
-        format!(
-            "{}; {} → {} {:?} ({}, {:?}); {} s, {} MB, {} covered, stamps within {} s; lsfb {}",
+        let folder = std::path::absolute(&self.folder).map_err(|source| self.io(source))?;
+        let folder = made_of::plain(&folder);
+        let words = self.words(&self.values(&folder))?;
+        let input = self.prepared.inputs.get(&system.layout);
+        let named = files.of_words(&words, &folder, input)?;
+        let listed = files.listed(&system.files)?;
+        let exported = match system.layout {
+            Layout::AsIs => String::new(),
+            _ => format!(" exported by lsfb {}", made_of::short(program_sha256)),
+        };
+        Ok(format!(
+            "{}{exported}; {} → {} {:?} ({}); {} s, {} MB; files {named}{listed}",
             self.prepared.made_of,
             system.command,
             system.trajectory,
             system.times,
             system.layout.name(),
-            system.scale,
             plan.time_limit_secs,
             plan.memory_limit_mb,
-            plan.least_covered,
-            plan.max_difference_secs,
-            env!("CARGO_PKG_VERSION")
-        )
+        ))
     }
 
     fn values(&self, folder: &Path) -> BTreeMap<&'static str, String> {
@@ -376,15 +383,27 @@ impl Job<'_> {
             });
         }
         let metric = metric.transpose()?;
-        let odd = |f: &&Finding| f.verdict >= Verdict::Warn && ODD.contains(&f.code.as_ref());
+        let is_odd = |f: &Finding, code: &str| f.verdict >= Verdict::Warn && f.code == code;
+        let odd = |code: &&str| sim3.findings.iter().find(|f| is_odd(f, code));
         Ok(RunResult {
-            remark: sim3.findings.iter().find(odd).map(|f| f.what.clone()),
+            remark: ODD.iter().find_map(odd).map(|f| f.what.clone()),
             covered: Some(covered),
             se3_m: metric.as_ref().map(|m| m.ate_translation_m.rmse),
             scale_percent: metric.and_then(|m| m.scale_error_abs_percent),
             sim3_m: Some(sim3.ate_translation_m.rmse),
             ..run
         })
+    }
+}
+
+/// SHA-256 of a trajectory, or of the files of a folder; `None` where there is none.
+fn hash_of(trajectory: &Path) -> Result<Option<String>, Error> {
+    if trajectory.is_dir() {
+        return contents_of(trajectory, None).map(Some);
+    }
+    match trajectory.exists() {
+        true => Ok(Some(sha256_of(trajectory)?)),
+        false => Ok(None),
     }
 }
 

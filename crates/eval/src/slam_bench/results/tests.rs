@@ -4,6 +4,12 @@ use super::super::plan::read_plan;
 use super::*;
 use lsfb_types::no_progress;
 
+/// As this program runs what is not finished.
+pub const CONFIG: RunConfig<'_> = RunConfig {
+    program_sha256: "0123456789abcdef",
+    finished: Finished::Keep,
+};
+
 /// A truth of a curl, ten poses a second for ten seconds, its plan, and a folder for the results.
 pub fn setup(systems: &str) -> (tempfile::TempDir, Plan) {
     let folder = tempfile::tempdir().expect("folder");
@@ -44,7 +50,7 @@ fn every_end_has_its_cause() {
     ];
     let (folder, plan) = setup(&systems.concat());
     let out = folder.path().join("out");
-    let results = run_plan(&plan, &out, &no_progress).expect("run");
+    let results = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
     assert_eq!(results.len(), 21);
     let marked = table_of(&plan, &results).marked();
     let figures = &marked.rows[0].1;
@@ -79,18 +85,121 @@ fn what_was_run_is_remembered() {
             .lines()
             .count()
     };
-    let first = run_plan(&plan, &out, &no_progress).expect("run");
+    let first = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
     assert_eq!((first.len(), runs()), (3, 3));
     fs::remove_file(out.join("M0/good/run-2/result.json")).expect("a result");
-    assert_eq!(run_plan(&plan, &out, &no_progress).expect("run").len(), 3);
+    assert_eq!(
+        run_plan(&plan, &out, CONFIG, &no_progress)
+            .expect("run")
+            .len(),
+        3
+    );
     assert_eq!(runs(), 4);
     plan.time_limit_secs = 10.0;
-    run_plan(&plan, &out, &no_progress).expect("run");
+    run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
     assert_eq!(runs(), 7);
     // Results of a folder stood though other images lay in it.
     fs::write(folder.path().join("room/0.png"), "another image").expect("file");
-    run_plan(&plan, &out, &no_progress).expect("run");
+    run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
     assert_eq!(runs(), 10);
+}
+
+/// A program that was built anew under its old name, a script that is only listed, and settings behind `=`: the figures of the old ones stood
+/// under the new.
+#[test]
+fn another_program_or_another_file_is_run_again() {
+    let (folder, _) = setup(&system("good", "true"));
+    let tool = folder.path().join("tool");
+    let write = |name: &str, text: &str| {
+        fs::write(folder.path().join(name), text).expect("file");
+    };
+    let script = "echo x >> ../../../../runs; cp ../../../../truth.tum $1";
+    write("run.sh", script);
+    write("settings.yaml", "fast");
+    write("words.txt", "one");
+    fs::copy("/bin/sh", &tool).expect("a program");
+    let text = fs::read_to_string(folder.path().join("plan.toml")).expect("plan");
+    let named = format!(
+        "command = '{} ../../../../run.sh {{trajectory}} --settings={}'\nfiles = ['words.txt']\n",
+        tool.display(),
+        folder.path().join("settings.yaml").display()
+    );
+    let begin = text.find("command").expect("a command");
+    write("plan.toml", &(text[..begin].to_owned() + &named));
+    let plan = read_plan(&folder.path().join("plan.toml")).expect("valid");
+    let out = folder.path().join("out");
+    let runs_with = |config| {
+        let results = run_plan(&plan, &out, config, &no_progress).expect("run");
+        assert!(results.iter().all(|r| r.se3_m.is_some()), "{results:?}");
+        let runs = fs::read_to_string(folder.path().join("runs")).expect("runs");
+        runs.lines().count()
+    };
+    let runs = || runs_with(CONFIG);
+    assert_eq!((runs(), runs()), (3, 3));
+    write("settings.yaml", "slow");
+    assert_eq!((runs(), runs()), (6, 6));
+    write("words.txt", "two");
+    assert_eq!((runs(), runs()), (9, 9));
+    write("run.sh", &format!("{script}; true"));
+    assert_eq!((runs(), runs()), (12, 12));
+    let mut built_anew = fs::read(&tool).expect("program");
+    built_anew.push(0);
+    fs::write(&tool, built_anew).expect("program");
+    assert_eq!((runs(), runs()), (15, 15));
+    // Another judge judges anew what was run, and does not run it again: inputs were not exported.
+    let other = RunConfig {
+        program_sha256: "fedcba9876543210",
+        ..CONFIG
+    };
+    assert_eq!(runs_with(other), 15);
+    let repeat = RunConfig {
+        finished: Finished::Repeat,
+        ..CONFIG
+    };
+    assert_eq!(runs_with(repeat), 18);
+    fs::remove_file(folder.path().join("words.txt")).expect("a file");
+    let why = run_plan(&plan, &out, CONFIG, &no_progress).expect_err("a file is gone");
+    assert!(why.to_string().contains("words.txt"), "{why}");
+}
+
+/// Another truth, another share that must be covered, a trajectory that was edited: what is kept is a run, and no judgement.
+#[test]
+fn what_was_run_is_judged_anew() {
+    let count = "echo x >> ../../../../runs; head -n 60 ../../../../truth.tum > $1";
+    let (folder, mut plan) = setup(&system("good", count));
+    let out = folder.path().join("out");
+    let judged = |plan: &Plan| {
+        let results = run_plan(plan, &out, CONFIG, &no_progress).expect("run");
+        let runs = fs::read_to_string(folder.path().join("runs")).expect("runs");
+        (results[0].clone(), runs.lines().count())
+    };
+    let (first, runs) = judged(&plan);
+    assert!(first.se3_m.is_some_and(|m| m < 1e-9) && runs == 3);
+    plan.least_covered = 0.9;
+    let (lost, runs) = judged(&plan);
+    assert!(matches!(lost.cause, Some(Cause::Lost { .. })) && runs == 3);
+    assert_eq!(lost.se3_m, None);
+    plan.least_covered = 0.5;
+    let truth = fs::read_to_string(folder.path().join("truth.tum")).expect("truth");
+    let shaken: String = truth
+        .lines()
+        .enumerate()
+        .map(|(i, line)| {
+            let (time, rest) = line.split_once(' ').expect("columns");
+            let (x, rest) = rest.split_once(' ').expect("columns");
+            let x: f64 = x.parse().expect("a number");
+            format!("{time} {} {rest}\n", x + 0.1 * (i as f64).sin())
+        })
+        .collect();
+    fs::write(folder.path().join("truth.tum"), shaken).expect("truth");
+    let (other, runs) = judged(&plan);
+    assert!(
+        other.se3_m.is_some_and(|m| m > 0.01) && runs == 3,
+        "{other:?}"
+    );
+    let edited = "0 0 0 0 0 0 0 1\n";
+    fs::write(out.join("M0/good/run-1/trajectory.tum"), edited).expect("file");
+    assert_eq!(judged(&plan).1, 4);
 }
 
 /// Of three runs the median; a run that failed does not hide the others.
@@ -99,7 +208,7 @@ fn the_median_run_counts() {
     let noisy = "awk -v e=$2 '{{ $2 += 0.1 * e * sin(7 * $1); print }}' ../../../../truth.tum > $1";
     let once = "test $2 != 2 && cp ../../../../truth.tum $1";
     let (folder, plan) = setup(&[system("noisy", noisy), system("once", once)].concat());
-    let results = run_plan(&plan, &folder.path().join("out"), &no_progress).expect("run");
+    let results = run_plan(&plan, &folder.path().join("out"), CONFIG, &no_progress).expect("run");
     let error = |run: usize| results[run - 1].se3_m.expect("judged");
     assert!(error(1) < error(2) && error(2) < error(3));
     let table = table_of(&plan, &results);
@@ -120,12 +229,31 @@ fn the_median_run_counts() {
     }
 }
 
+/// A system that was lost for a second and says that it stands where it was had its figure and no remark.
+#[test]
+fn what_is_odd_stands_below_the_table() {
+    let held = "{ $2 += 0.02 * sin(7 * NR); if (NR > 74 && NR < 97) { $2 = x; $3 = y; $4 = z } x = $2; y = $3; z = $4; print }";
+    let script = format!("awk '{held}' ../../../../truth.tum > $1");
+    let (folder, _) = setup(&system("held", "true"));
+    fs::write(folder.path().join("held.sh"), script).expect("script");
+    let text = fs::read_to_string(folder.path().join("plan.toml")).expect("plan");
+    let begin = text.find("command").expect("a command");
+    let text = text[..begin].to_owned() + "command = 'sh ../../../../held.sh {trajectory}'\n";
+    fs::write(folder.path().join("plan.toml"), text).expect("plan");
+    let plan = read_plan(&folder.path().join("plan.toml")).expect("valid");
+    let out = folder.path().join("out");
+    let results = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
+    let remark = results[0].remark.clone().unwrap_or_default();
+    assert!(results[0].se3_m.is_some(), "{results:?}");
+    assert!(remark.contains("exactly where another is"), "{remark}");
+}
+
 /// Of a system that crashed in two of three runs the table had the third one's error, and no word of the others.
 #[test]
 fn who_fails_most_of_the_time_has_no_figure() {
     let mostly = "test $2 = 2 && cp ../../../../truth.tum $1";
     let (folder, plan) = setup(&system("mostly", mostly));
-    let results = run_plan(&plan, &folder.path().join("out"), &no_progress).expect("run");
+    let results = run_plan(&plan, &folder.path().join("out"), CONFIG, &no_progress).expect("run");
     assert!(results[1].se3_m.is_some());
     let table = table_of(&plan, &results);
     let cell = &table.rows[0].cells[0];
@@ -140,7 +268,7 @@ fn a_plan_is_stopped_in_order() {
         0..3 => Ok(()),
         _ => Err(lsfb_types::Stopped),
     };
-    let stopped = run_plan(&plan, &folder.path().join("out"), &stop);
+    let stopped = run_plan(&plan, &folder.path().join("out"), CONFIG, &stop);
     assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
 }
 
@@ -178,12 +306,12 @@ fn plans_that_mean_nothing_are_refused() {
     }
     let (folder, mut plan) = setup("[[system]]\nname = 'q'\ncommand = 'true {inputs}'\n");
     let out = folder.path().join("out");
-    let why = run_plan(&plan, &out, &no_progress)
+    let why = run_plan(&plan, &out, CONFIG, &no_progress)
         .expect_err("placeholder")
         .to_string();
     assert!(why.contains("{inputs} is no placeholder"), "{why}");
     plan.systems[0].layout = Layout::Euroc;
-    let why = run_plan(&plan, &out, &no_progress)
+    let why = run_plan(&plan, &out, CONFIG, &no_progress)
         .expect_err("a folder")
         .to_string();
     assert!(why.contains("euroc"), "{why}");

@@ -1,5 +1,8 @@
 //! A trajectory against surveyed marks on which the device rested.
 
+mod far;
+mod judge;
+
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{StampedPose, Vector2, Vector3};
 use serde::Serialize;
@@ -15,6 +18,8 @@ const LEAST_BASE_M: f64 = 0.5;
 const BREAK_SECS: f64 = 1.0;
 /// Rests times marks beyond which trying all pairs of pairs takes too long.
 const MOST_PAIRS: usize = 10_000;
+/// A rest so many times as far from a mark as it may be, and no other mark's, is that mark's all the same: there the trajectory is off.
+const FAR: f64 = 5.0;
 /// Another assignment of as many rests makes the best one doubtful where its errors are no larger than this many times.
 const RIVAL: f64 = 2.0;
 
@@ -33,6 +38,17 @@ pub struct MarkError {
     pub distance_m: f64,
 }
 
+/// A mark that the device visited where the trajectory rests out of reach of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FarMark {
+    /// The mark.
+    pub mark: String,
+    /// When the rest began, seconds since the first pose.
+    pub start_secs: f64,
+    /// From the mark to the rest on the floor, metres, aligned by the marks that were found.
+    pub distance_m: f64,
+}
+
 /// The trajectory at the marks.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MarkReport {
@@ -45,8 +61,13 @@ pub struct MarkReport {
     /// The trajectory's places in the survey's coordinates, z upwards from the mean of the marks, metres; where it breaks off, a new piece begins.
     #[serde(skip)]
     pub pieces: Vec<Vec<Vector3<f64>>>,
+    /// All rests, likewise.
+    #[serde(skip)]
+    pub aligned_rests: Vec<Vector3<f64>>,
     /// Visits for which no rest was found; the marks without a rest where the order of visits is not known.
     pub missing: Vec<String>,
+    /// Of these, those with a rest that is out of reach and no other mark's: the errors of `ate_m` are without them.
+    pub far: Vec<FarMark>,
 }
 
 /// Tells which mark each rest of a trajectory is, aligns, and measures. The trajectory's z must point upwards. A rest belongs to no mark
@@ -75,7 +96,18 @@ pub fn check_marks(
         false => Order::Known,
     };
     let pairs = assign(rests, &places, order, reach_m)?;
-    report(&visits, &places, rests, poses, &pairs)
+    let mut found = report(&visits, &places, rests, poses, &pairs)?;
+    let first = poses.first().map(|p| p.time).unwrap_or_default();
+    let far = far::marks(&places, &found.aligned_rests, &pairs, order, FAR * reach_m);
+    found.far = far
+        .into_iter()
+        .map(|far| FarMark {
+            mark: visits[far.place].clone(),
+            start_secs: rests[far.rest].start.secs_since(first),
+            distance_m: far.distance_m,
+        })
+        .collect();
+    Ok(found)
 }
 
 /// Whether marks were visited in the order of their list.
@@ -286,7 +318,9 @@ fn report(
                 places.map(|place| alignment.apply(place)).collect()
             })
             .collect(),
+        aligned_rests: rests.iter().map(|r| alignment.apply(&r.place)).collect(),
         missing: missing.map(|k| visits[k].clone()).collect(),
+        far: Vec::new(),
     })
 }
 

@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use super::*;
 use crate::survey::{RestConfig, Tape, TapeKind, find_rests, solve_survey};
 use lsfb_geometry::{Se3, UnitQuaternion};
-use lsfb_types::Timestamp;
+use lsfb_types::{Timestamp, Verdict};
 
 /// Marks on an uneven grid: no turn of it looks like itself.
 const MARKS: [(&str, f64, f64); 6] = [
@@ -136,4 +136,104 @@ fn without_an_order_only_what_is_clear_is_told() {
     named.points.clear();
     let unknown = check(&named, &walk(&corners, |_| Vector3::zeros())).expect_err("no such mark");
     assert!(unknown.to_string().contains("p9"), "{unknown}");
+}
+
+/// A dozen marks on an uneven grid; their tapes.
+fn hall() -> (Survey, Vec<(String, f64, f64)>) {
+    let x = [0.0, 2.1, 5.0, 9.3];
+    let y = [0.0, 2.6, 6.1];
+    let name = |i: usize, j: usize| format!("m{i}{j}");
+    let tape = |kind, a: (usize, usize), b: (usize, usize), distance_m| Tape {
+        kind,
+        ends: [name(a.0, a.1), name(b.0, b.1)],
+        distance_m,
+        sigma_m: 0.001,
+    };
+    let mut tapes = Vec::new();
+    for j in 0..3 {
+        for i in 1..4 {
+            tapes.push(tape(
+                TapeKind::Horizontal,
+                (i - 1, j),
+                (i, j),
+                x[i] - x[i - 1],
+            ));
+        }
+    }
+    for i in 0..4 {
+        for j in 1..3 {
+            tapes.push(tape(
+                TapeKind::Vertical,
+                (i, j - 1),
+                (i, j),
+                y[j] - y[j - 1],
+            ));
+        }
+    }
+    let marks: Vec<_> = (0..12)
+        .map(|k| (name(k / 3, k % 3), x[k / 3], y[k % 3]))
+        .collect();
+    let visits = marks.iter().map(|m| m.0.clone()).collect();
+    let survey = Survey {
+        tapes,
+        line_sigma_m: 0.001,
+        visits,
+        points: BTreeMap::new(),
+    };
+    (survey, marks)
+}
+
+fn failed(report: &MarkReport) -> Vec<String> {
+    let failed = report.findings().into_iter();
+    let failed = failed.filter(|f| f.verdict == Verdict::Fail);
+    failed.map(|f| f.code.to_string()).collect()
+}
+
+/// A trajectory that leaves the floor plan at the far end by more than the reach had the errors of the other marks: 11 of 12, no error,
+/// WARN.
+#[test]
+fn marks_that_the_trajectory_misses_are_no_missing_marks() {
+    let (survey, marks) = hall();
+    let places: Vec<(f64, f64)> = marks.iter().map(|m| (m.1, m.2)).collect();
+    let straight = check(&survey, &walk(&places, |_| Vector3::zeros())).expect("found");
+    assert!(failed(&straight).is_empty() && straight.far.is_empty());
+    let bent = walk(&places, |k| match k {
+        11 => Vector3::new(0.0, 0.6, 0.0),
+        _ => Vector3::zeros(),
+    });
+    for visits in [survey.visits.clone(), Vec::new()] {
+        let survey = Survey {
+            visits,
+            ..survey.clone()
+        };
+        let found = check(&survey, &bent).expect("found");
+        assert_eq!((found.marks.len(), found.far.len()), (11, 1), "{found:?}");
+        assert!(found.ate_m.rmse < 0.01);
+        let far = &found.far[0];
+        assert!(
+            far.mark == "m32" && (far.distance_m - 0.6).abs() < 0.01,
+            "{far:?}"
+        );
+        assert_eq!(failed(&found), ["far-marks"]);
+    }
+    // Marks that were not visited, and a rest elsewhere: nothing is off.
+    let mut some = places[..7].to_vec();
+    some.push((20.0, 20.0));
+    let found = check(&survey, &walk(&some, |_| Vector3::zeros())).expect("found");
+    assert!(failed(&found).is_empty() && found.far.is_empty());
+    assert_eq!(found.findings()[0].verdict, Verdict::Warn);
+}
+
+/// Three marks fit any trajectory to centimetres.
+#[test]
+fn few_marks_are_no_result() {
+    let (survey, marks) = hall();
+    let some = |count: usize| -> Vec<String> {
+        let places: Vec<(f64, f64)> = marks[..count].iter().map(|m| (m.1, m.2)).collect();
+        let shaken = |k: usize| Vector3::new(0.05 * (k as f64).sin(), 0.05 * (k as f64).cos(), 0.0);
+        failed(&check(&survey, &walk(&places, shaken)).expect("found"))
+    };
+    assert_eq!(some(4), ["marks", "few-marks"]);
+    assert_eq!(some(5), ["marks"]);
+    assert!(some(6).is_empty());
 }
