@@ -446,8 +446,8 @@ fn limits_must_be_positive() {
     assert!(error.to_string().contains("max_reprojection_px"), "{error}");
 }
 
-/// A start that is 5 % too long and scans that take no part: images alone know no scale. Control points put the map right and into their frame, of a national grid, though one of
-/// them was measured 40 cm off and one click is on something else.
+/// A start that is 5 % too long and scans that take no part. Control points put the map into their frame, of a national grid, though one of them was measured 40 cm off and one click
+/// is on something else.
 #[test]
 fn control_points_hold_a_map_and_blunders_among_them_do_not() {
     let folder = tempfile::tempdir().expect("folder");
@@ -510,14 +510,13 @@ fn control_points_hold_a_map_and_blunders_among_them_do_not() {
     let control = Control::new(points.collect(), &clicks).expect("enough");
     let mut config = MappingConfig::default();
     (config.terms.planes, config.terms.edges) = (false, false);
-    let build = |control: Option<&Control>| {
-        let inputs = Inputs {
-            start: Start::Given(&start),
-            control,
-            ..Inputs::of(&recording)
-        };
-        build_map_in_stages(&inputs, &config, &KeptStages::none(), &no_progress).expect("map")
+    let inputs = Inputs {
+        start: Start::Given(&start),
+        control: Some(&control),
+        ..Inputs::of(&recording)
     };
+    let none = KeptStages::none();
+    let held = build_map_in_stages(&inputs, &config, &none, &no_progress).expect("map");
     // Of marks that were not surveyed, along all pairs.
     let worst_m = |result: &MappingResult| {
         let along = Some(&result.trajectory);
@@ -534,12 +533,10 @@ fn control_points_hold_a_map_and_blunders_among_them_do_not() {
         });
         pairs.fold(0.0, f64::max)
     };
-    let (alone, held) = (build(None), build(Some(&control)));
     let report = held.report.control.as_ref().expect("said");
     assert!(report.holds, "{report:?}");
-    let (alone_m, held_m) = (worst_m(&alone), worst_m(&held));
-    assert!(alone_m > 0.1 && held_m < 0.02, "{alone_m} → {held_m} m");
-    assert!(alone.map.site().is_none());
+    let held_m = worst_m(&held);
+    assert!(held_m < 0.02, "{held_m} m");
     let site = held.map.site().expect("in the frame of the survey");
     assert_eq!(site.origin_m, [500_000.0, 5_401_000.0, 0.0]);
     let shift = Vector3::from(site.origin_m);
