@@ -161,7 +161,7 @@ pub(crate) fn read_imu_if_any(
     }
 }
 
-/// Inertial samples in order of time, each instant once, and the number of messages that could not be read.
+/// Inertial samples in order of time, each instant once, and the number of messages that could not be read, or have the stamp of another.
 pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
     let (mut samples, mut damaged) = (Vec::new(), 0);
     for sample in recording.imu()? {
@@ -171,6 +171,10 @@ pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>
         }
     }
     samples.sort_by_key(|sample| sample.time);
+    // A message that came twice is no loss; another measurement with its stamp is one, as nobody knows when it was made.
+    samples.dedup_by(|b, a| b.time == a.time && b.sample == a.sample);
+    let told = samples.len();
     samples.dedup_by_key(|sample| sample.time);
+    damaged += (told - samples.len()) as u64;
     Ok((samples, damaged))
 }

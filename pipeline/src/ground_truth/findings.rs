@@ -90,7 +90,7 @@ impl GroundTruthWarning {
             Self::DamagedSamples { samples } => warn(
                 "damaged-samples",
                 "IMU",
-                format!("{samples} are damaged and were skipped"),
+                format!("{samples} are damaged, or have the stamp of another one, and were skipped"),
             )
             .value(*samples as f64, "")
             .limit(Limit::AtMost(0.0)),

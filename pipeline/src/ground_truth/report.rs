@@ -208,7 +208,7 @@ pub enum GroundTruthWarning {
         /// How many.
         images: u64,
     },
-    /// Inertial samples could not be read.
+    /// Inertial samples could not be read, or have the stamp of another one.
     DamagedSamples {
         /// How many messages, or stretches of the file.
         samples: u64,
