@@ -128,6 +128,7 @@ fn what_is_written_is_opened_and_written_again_byte_for_byte() {
 
     opened.write(second.path()).expect("written again");
     small_map()
+        .with_site(Some(site))
         .write(first.path())
         .expect("written over the open map");
     assert_eq!(bytes_of(first.path()), bytes_of(second.path()));
