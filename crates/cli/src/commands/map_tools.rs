@@ -7,7 +7,7 @@ use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_pipeline::descriptor_index::IndexConfig;
 use lsfb_pipeline::hd_map::{
-    ColmapCamera, ExportedFile, MapFormat, MergeConfig, Region, SiteFrame,
+    ColmapCamera, ExportedFile, HdMap, MapFormat, MergeConfig, Region, SiteFrame,
 };
 use lsfb_types::{median, quantile};
 use serde::Serialize;
