@@ -76,7 +76,8 @@ fn foreign_mcap(path: &Path) {
         for tenth in 0..10 {
             let level = ImuSample {
                 angular_velocity_rad_s: [0.0; 3],
-                specific_force_m_s2: [0.0, 0.0, 9.81],
+                // One that says the same again and again has paused.
+                specific_force_m_s2: [0.0, 0.0, 9.81 + 1e-4 * (tenth % 3) as f64],
             };
             let sample = stamped(at(number).plus_nanos(10_000_000 * tenth), level);
             writer.write_imu("imu0", &sample).expect("a sample");

@@ -523,7 +523,8 @@ fn control_points_hold_a_map_and_blunders_among_them_do_not() {
         let placed = result.map.place_marks(&clicks, along, &Default::default());
         let seen = placed.marks.iter().filter_map(|mark| {
             let k: usize = mark.name[1..].parse().ok()?;
-            (k % 3 == 0).then(|| (place(k), Vector3::from(mark.place_m)))
+            k.is_multiple_of(3)
+                .then(|| (place(k), Vector3::from(mark.place_m)))
         });
         let seen: Vec<_> = seen.collect();
         assert!(seen.len() > 2, "{placed:?}");

@@ -1,4 +1,4 @@
-//! The folder of a map: its size, and where it comes from.
+//! The folder of a map: its size, where it comes from, and whether the map failed.
 
 use std::path::Path;
 
@@ -6,6 +6,9 @@ use anyhow::Context as _;
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::Provenance;
 use serde::Serialize;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
 
 /// Bytes of all files in it.
 pub fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
@@ -31,4 +34,15 @@ pub fn written(
     provenance.add_rig(map.rig());
     provenance.write(out)?;
     Ok(())
+}
+
+/// How a command ends that makes something else of a map: one that failed when it was made is as wrong in any other form.
+pub fn outcome_of(map: &HdMap, context: &Context) -> Outcome {
+    for what in map.failures() {
+        context.say(&format!("the map failed when it was made: {what}"));
+    }
+    match map.failures().is_empty() {
+        true => Outcome::Done,
+        false => Outcome::JudgementFailed,
+    }
 }

@@ -126,5 +126,5 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
         }
         text
     })?;
-    Ok(super::map_tools::outcome_of(map, context))
+    Ok(super::map_folder::outcome_of(map, context))
 }

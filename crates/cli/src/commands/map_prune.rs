@@ -86,5 +86,5 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
         "{}: the map became {after_mb:.2} MB: ask for less",
         arguments.out.display()
     );
-    Ok(super::map_tools::outcome_of(&left, context))
+    Ok(super::map_folder::outcome_of(&left, context))
 }

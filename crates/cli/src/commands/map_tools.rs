@@ -7,14 +7,14 @@ use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_pipeline::descriptor_index::IndexConfig;
 use lsfb_pipeline::hd_map::{
-    ColmapCamera, ExportedFile, HdMap, MapFormat, MergeConfig, Region, SiteFrame,
+    ColmapCamera, ExportedFile, MapFormat, MergeConfig, Region, SiteFrame,
 };
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 
 use super::map_depth::{DepthArguments, depth};
 use super::map_distances::{DistancesArguments, distances};
-use super::map_folder::{bytes_in, written};
+use super::map_folder::{bytes_in, outcome_of, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
 use super::map_scans::{ScansArguments, scans};
@@ -287,17 +287,6 @@ fn text(folder: &Path, info: &Info) -> String {
 fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     let values: Vec<f64> = values.collect();
     Some([median(values.clone())?, quantile(values, 0.95)?])
-}
-
-/// How a command ends that makes something else of a map: one that failed when it was made is as wrong in any other form.
-pub fn outcome_of(map: &HdMap, context: &Context) -> Outcome {
-    for what in map.failures() {
-        context.say(&format!("the map failed when it was made: {what}"));
-    }
-    match map.failures().is_empty() {
-        true => Outcome::Done,
-        false => Outcome::JudgementFailed,
-    }
 }
 
 fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {

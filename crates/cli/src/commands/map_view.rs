@@ -131,7 +131,7 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
     })?;
     Ok(match map.failures().is_empty() {
         true => Outcome::of(judgement.verdict()),
-        false => super::map_tools::outcome_of(&map, context),
+        false => super::map_folder::outcome_of(&map, context),
     })
 }
 

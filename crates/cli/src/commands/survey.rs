@@ -56,7 +56,7 @@ struct SolveArguments {
 /// Check a trajectory at the marks on which the device rested, or distances between points of a map.
 ///
 /// A rest further from its mark than --reach-m is in no error, and the check fails (exit code 4), as it does with fewer than half of the
-/// marks, or fewer than five: the errors of those that fit are no result.
+/// marks, or fewer than four: the errors of those that fit are no result.
 ///
 /// Examples:
 ///   lsfb survey check floor.survey --trajectory walk.tum

@@ -13,6 +13,10 @@ use super::HandEye;
 use super::continuous::Continuous;
 use super::refine::{OUTLIER, weighted_norm};
 
+/// From one pose to the next the reference jumps where it moves so much more than the estimate, in the unit of outliers: of some thousand poses the noise of a few
+/// reaches one.
+const JUMP: f64 = 2.0 * OUTLIER;
+
 /// Ground truth of the estimate's body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlignedTruth {
@@ -82,7 +86,7 @@ impl HandEye {
                 true => jump(run.end - 1, run.end),
                 false => 0.0,
             };
-            if into.max(out_of) > OUTLIER {
+            if into.max(out_of) > JUMP {
                 jumped[run].fill(true);
             }
         }

@@ -66,7 +66,7 @@ pub struct ControlMark {
 }
 
 impl ControlMark {
-    fn from_others_cm(&self) -> f64 {
+    fn off_the_others_cm(&self) -> f64 {
         100.0 * self.from_others_m.iter().map(|m| m * m).sum::<f64>().sqrt()
     }
 }
@@ -98,12 +98,12 @@ impl ControlReport {
         for mark in self.marks.iter().filter(|mark| !mark.holds && self.holds) {
             let what = format!(
                 "is {:.1} cm ({:.0} σ) from where the {} others have it, and is left out",
-                mark.from_others_cm(),
+                mark.off_the_others_cm(),
                 mark.from_others_sigmas,
                 self.held()
             );
             let finding = warn("control-point-off", &mark.name, what)
-                .value(0.01 * mark.from_others_cm(), "m");
+                .value(0.01 * mark.off_the_others_cm(), "m");
             let finding = match mark.from_others_sigma_m {
                 Some(sigma_m) => finding.sigma(sigma_m),
                 None => finding,

@@ -46,10 +46,15 @@ impl MarkReport {
         let found = self.marks.len();
         (found < LEAST_MARKS).then(|| {
             let what = format!(
-                "only {found} marks: six of their {} numbers went into the alignment, and what is left is no error of the trajectory",
+                "only {found} marks: six of their {} numbers went into the alignment, and what is left says little of the trajectory",
                 3 * found
             );
-            Finding::new("few-marks", Verdict::Fail, "trajectory", what)
+            // Three have nothing left but chance, four hardly more.
+            let verdict = match found < LEAST_MARKS - 1 {
+                true => Verdict::Fail,
+                false => Verdict::Warn,
+            };
+            Finding::new("few-marks", verdict, "trajectory", what)
                 .value(found as f64, "")
                 .limit(Limit::AtLeast(LEAST_MARKS as f64))
                 .remedy("measure more marks, and rest on each")
