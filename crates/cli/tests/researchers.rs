@@ -381,7 +381,14 @@ fn alignment_makes_truth_of_the_own_body() {
         "own.tum",
         "--json",
     ]);
-    assert_eq!(found["verdict"], "pass", "{found}");
+    // One was made of the other, to the last digit, and that is said.
+    for finding in found["findings"].as_array().expect("findings") {
+        let expected = match finding["code"] == "same" {
+            true => "warn",
+            false => "pass",
+        };
+        assert_eq!(finding["verdict"], expected, "{found}");
+    }
     assert!(
         (found["offset_secs"].as_f64().expect("seconds") - 0.4).abs() < 1e-4,
         "{found}"

@@ -13,7 +13,7 @@ const MOST_LEFT_DEG: f64 = 20.0;
 /// Positions that stay further apart, as a share of how they scatter, are not of one walk.
 const MOST_UNLIKE: f64 = 0.5;
 /// Two systems never agree so well, metres rms.
-const LEAST_LEFT_M: f64 = 1e-8;
+const LEAST_LEFT_M: f64 = 1e-6;
 /// Positions of two bodies on one device extend alike, but for what a turn on the spot makes of a lever.
 const MOST_LARGER: f64 = 1.3;
 /// Share of poses that should fit, and below which the result is not to be used.
