@@ -33,6 +33,20 @@ fn write(path: &Path, count: i64, pace: f64) {
     writer.finish().unwrap();
 }
 
+/// Those of some numbers of an IMU at 200 Hz, which arrive when they are measured.
+fn write_samples(writer: &mut Writer, numbers: impl Iterator<Item = i64>) {
+    for n in numbers {
+        let time = Timestamp::from_nanos(START + n * PERIOD_NS);
+        let sample = Stamped {
+            time,
+            arrival: time,
+            device_ticks: 0,
+            sample: ImuSample::default(),
+        };
+        writer.write_imu("imu0", &sample).unwrap();
+    }
+}
+
 fn diagnosis(path: &Path, read: Depth) -> Judgement {
     let config = DoctorConfig {
         read,
@@ -117,16 +131,7 @@ fn a_stream_that_loses_messages_evenly_is_found_by_its_rate() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scan.mcap");
     let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
-    for n in (0..3000).filter(|n| n % 4 != 3) {
-        let time = Timestamp::from_nanos(START + n * PERIOD_NS);
-        let sample = Stamped {
-            time,
-            arrival: time,
-            device_ticks: 0,
-            sample: ImuSample::default(),
-        };
-        writer.write_imu("imu0", &sample).unwrap();
-    }
+    write_samples(&mut writer, (0..3000).filter(|n| n % 4 != 3));
     writer.finish().unwrap();
     let judgement = diagnosis(&path, Depth::Indexes);
     assert_eq!(found(&judgement, "silence").verdict, Verdict::Pass);
@@ -258,16 +263,7 @@ fn a_camera_that_never_sent_an_image_is_missed() {
     writer
         .attach(&listed.name, &listed.media_type, &listed.bytes)
         .unwrap();
-    for n in 0..1_000 {
-        let time = Timestamp::from_nanos(START + n * PERIOD_NS);
-        let sample = Stamped {
-            time,
-            arrival: time,
-            device_ticks: 0,
-            sample: ImuSample::default(),
-        };
-        writer.write_imu("imu0", &sample).unwrap();
-    }
+    write_samples(&mut writer, 0..1_000);
     writer.finish().unwrap();
     let judgement = diagnosis(&path, Depth::Indexes);
     let rate = found_at(&judgement, "rate", "/cam7/image");

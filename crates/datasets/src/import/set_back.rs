@@ -1,5 +1,6 @@
 //! Times that a device told twice, because its clock was set back on the way: sorted, two different seconds would be mixed into one.
 
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use lsfb_types::Timestamp;
@@ -36,36 +37,33 @@ pub(super) fn runs(times: impl Iterator<Item = Timestamp>) -> Vec<usize> {
 
 /// What runs share of the time, of records in order of time. Parts of a file that were written in another order share none.
 pub(super) fn told_twice(records: &[(usize, Timestamp)]) -> Vec<ToldTwice> {
-    let of_run = |run: usize, times: &RangeInclusive<Timestamp>| {
-        let begin = records.partition_point(|(_, time)| time < times.start());
-        let inside = records[begin..].iter();
-        let inside = inside.take_while(|(_, time)| time <= times.end());
-        inside.filter(|(of, _)| *of == run).count()
-    };
-    let Some(last) = records.iter().map(|(run, _)| *run).max() else {
-        return Vec::new();
-    };
-    let mut spans: Vec<Option<(Timestamp, Timestamp)>> = vec![None; last + 1];
+    let mut by_run: BTreeMap<usize, Vec<Timestamp>> = BTreeMap::new();
     for (run, time) in records {
-        let (first, _) = spans[*run].unwrap_or((*time, *time));
-        spans[*run] = Some((first, *time));
+        by_run.entry(*run).or_default().push(*time);
     }
-    let spans = spans.into_iter().enumerate();
-    let mut spans: Vec<_> = spans.filter_map(|(run, span)| Some((span?, run))).collect();
+    let inside = |run: usize, times: &RangeInclusive<Timestamp>| {
+        let own = &by_run[&run];
+        let before = own.partition_point(|time| time < times.start());
+        own.partition_point(|time| time <= times.end()) - before
+    };
+    let spans = by_run.iter();
+    let spans = spans.filter_map(|(run, own)| Some((*own.first()?, *own.last()?, *run)));
+    let mut spans: Vec<_> = spans.collect();
     spans.sort_unstable();
     let mut found = Vec::new();
-    let mut spans = spans.into_iter();
-    let Some((mut reach, mut reaching)) = spans.next().map(|((_, end), run)| (end, run)) else {
+    let Some((&(_, mut reach, mut reaching), later)) = spans.split_first() else {
         return found;
     };
-    for ((first, end), run) in spans {
+    for &(first, end, run) in later {
         if first <= reach {
             let times = first..=end.min(reach);
-            let [a, b] = [reaching, run].map(|run| of_run(run, &times));
-            let runs = match (a as f64, b as f64) {
-                (a, b) if a < FEW * b => vec![reaching],
-                (a, b) if b < FEW * a => vec![run],
-                _ => vec![reaching, run],
+            let [a, b] = [reaching, run].map(|run| inside(run, &times) as f64);
+            let runs = if a < FEW * b {
+                vec![reaching]
+            } else if b < FEW * a {
+                vec![run]
+            } else {
+                vec![reaching, run]
             };
             found.push(ToldTwice { times, runs });
         }
@@ -74,6 +72,25 @@ pub(super) fn told_twice(records: &[(usize, Timestamp)]) -> Vec<ToldTwice> {
         }
     }
     found
+}
+
+/// Of each of these records whether it is of a time that was told twice and cannot be told from the others. In one pass: stretches are in order of their begin.
+pub(super) fn left_out(records: &[(usize, Timestamp)], twice: &[ToldTwice]) -> Vec<bool> {
+    let mut until: BTreeMap<usize, Timestamp> = BTreeMap::new();
+    let mut begun = 0;
+    records
+        .iter()
+        .map(|(run, time)| {
+            while let Some(next) = twice.get(begun).filter(|t| t.times.start() <= time) {
+                for run in &next.runs {
+                    let own = until.entry(*run).or_insert(*next.times.end());
+                    *own = (*own).max(*next.times.end());
+                }
+                begun += 1;
+            }
+            until.get(run).is_some_and(|until| time <= until)
+        })
+        .collect()
 }
 
 #[cfg(test)]

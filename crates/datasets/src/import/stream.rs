@@ -149,19 +149,22 @@ impl Stream {
     /// Leaves out records of times that the device told twice, as nobody knows which of them came first.
     fn leave_out_told_twice(&mut self, what: &str, records: &mut Vec<(usize, Record)>) {
         let times: Vec<_> = records.iter().map(|(run, r)| (*run, r.time)).collect();
-        for twice in set_back::told_twice(&times) {
-            let before = records.len();
-            records.retain(|(run, r)| !(twice.times.contains(&r.time) && twice.runs.contains(run)));
-            let (start, end) = (twice.times.start(), twice.times.end());
-            let secs = end.secs_since(*start);
-            self.lose((before - records.len()) as u64, || match twice.runs.len() {
-                1 => format!("{what}: stamps that go back by {secs:.1} s, at {} ns", end.nanos()),
-                _ => format!(
-                    "{what}: stamps go back by {secs:.1} s at {} ns, so that this time is told twice: the clock was set, or two recordings are in one; import each part alone",
-                    end.nanos()
-                ),
-            });
-        }
+        let found = set_back::told_twice(&times);
+        let Some(first) = found.first() else {
+            return;
+        };
+        let before = records.len();
+        let mut is_left_out = set_back::left_out(&times, &found).into_iter();
+        records.retain(|_| !is_left_out.next().unwrap_or(false));
+        let (start, end) = (first.times.start(), first.times.end());
+        let secs = end.secs_since(*start);
+        self.lose((before - records.len()) as u64, || match first.runs.len() {
+            1 => format!("{what}: stamps that go back by {secs:.1} s, at {} ns", end.nanos()),
+            _ => format!(
+                "{what}: stamps go back by {secs:.1} s at {} ns, so that this time is told twice: the clock was set, or two recordings are in one; import each part alone",
+                end.nanos()
+            ),
+        });
     }
 
     /// Of what comes when there is something to hear, the same at the same time twice was written twice.

@@ -7,8 +7,8 @@ use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, 
 use lsfb_solver::{Block, Kernel, Problem};
 use nalgebra::DMatrix;
 
-use super::report::{ControlMark, ControlReport};
-use super::snooping::{Off, Surveyed, snoop};
+use super::report::{ControlMark, ControlReport, USUAL_FACTOR};
+use super::snooping::{Off, Surveyed, scale_of_survey, snoop};
 use super::{Control, ControlConfig, FEWEST, SHARE_OF_FEW, TELLING};
 use crate::Error;
 use crate::bending::Between;
@@ -299,6 +299,10 @@ impl<'a> Marks<'a> {
             1.0
         };
         let most = (share * config.max_map_factor).max(1.0);
+        // Few marks always come nearer by another size.
+        if report.map_factor > USUAL_FACTOR && surveyed.len() > FEWEST {
+            report.scale = scale_of_survey(&surveyed);
+        }
         report.tilt_deg = tilt_deg(&snooped.site_from_world.rotation);
         let held = snooped.holding.len();
         if report.tilt_deg > MAX_TILT_DEG {

@@ -10,7 +10,7 @@ const UNSEEN_BLUNDER_M: f64 = 0.2;
 /// A blunder of so many standard deviations is seen.
 const SEEN_SIGMAS: f64 = 5.0;
 /// A map that is so many times worse known than it says is said to be bent towards them.
-const USUAL_FACTOR: f64 = 4.0;
+pub(super) const USUAL_FACTOR: f64 = 4.0;
 /// A map that control points hold lies at them as well as this, metres.
 const FITS_M: f64 = 0.05;
 
@@ -33,6 +33,9 @@ pub struct ControlReport {
     pub click_sigma_px: f64,
     /// By how much control points that agree were farther from the map that they did not hold than both were said to be known: 1 where that is right.
     pub map_factor: f64,
+    /// How many times as large as the map their survey is, where the map is farther from it than both say and that explains most of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
     /// Angle between the z axis of their frame and the vertical of the walk, degrees.
     pub tilt_deg: f64,
 }
@@ -125,8 +128,11 @@ impl ControlReport {
             );
         }
         if self.holds && self.map_factor > USUAL_FACTOR {
+            let scale = self.scale.map_or_else(String::new, |scale| {
+                format!(", by its size alone: their survey is {scale:.4} times as large, and one of the two is wrong")
+            });
             let what = format!(
-                "without them it was {:.1} times as far off as it said of itself",
+                "without them it was {:.1} times as far off as it said of itself{scale}",
                 self.map_factor
             );
             findings.push(
@@ -162,8 +168,11 @@ impl ControlReport {
 
     fn holding(&self) -> Finding {
         if !self.holds {
+            let scale = self.scale.map_or_else(String::new, |scale| {
+                format!("; their survey is {scale:.4} times as large as the map: is it in metres?")
+            });
             let what = format!(
-                "do not hold the map, which stands where the walk began: {}",
+                "do not hold the map, which stands where the walk began: {}{scale}",
                 self.reason
             );
             return Finding::new("control-points", Verdict::Fail, "control points", what).remedy(

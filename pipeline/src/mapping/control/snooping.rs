@@ -105,6 +105,24 @@ pub(super) fn snoop(
     })
 }
 
+/// A map that is another size than its survey differs from it by this share at least, and by so much less once that is taken out.
+const LEAST_SCALE_OFF: f64 = 0.005;
+const SCALE_EXPLAINS: f64 = 0.5;
+
+/// How many times as large as the map its survey is, where that explains most of what is between them: another unit, or a tape that is wrong.
+pub(super) fn scale_of_survey(marks: &[Surveyed]) -> Option<f64> {
+    let (world, site): (Vec<_>, Vec<_>) = marks.iter().map(|m| (m.in_world, m.in_site)).unzip();
+    let left = |scale: Scale| {
+        let fit = umeyama(&world, &site, scale)?;
+        let pairs = world.iter().zip(&site);
+        let off = pairs.map(|(world, site)| (fit.apply(world) - site).norm_squared());
+        Some((fit.scale, off.sum::<f64>().sqrt()))
+    };
+    let ((scale, scaled), (_, rigid)) = (left(Scale::Free)?, left(Scale::Fixed)?);
+    let is_other = (scale - 1.0).abs() > LEAST_SCALE_OFF && scaled < SCALE_EXPLAINS * rigid;
+    is_other.then_some(scale)
+}
+
 struct Network<'a> {
     marks: &'a [Surveyed],
     covariance_m2: &'a DMatrix<f64>,

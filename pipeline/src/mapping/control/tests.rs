@@ -2,7 +2,7 @@ use lsfb_geometry::{Se3, Vector3, Vector6};
 use lsfb_types::Timestamp;
 use nalgebra::DMatrix;
 
-use super::snooping::{Snooped, Surveyed, snoop};
+use super::snooping::{Snooped, Surveyed, scale_of_survey, snoop};
 use super::*;
 use crate::hd_map::Click;
 
@@ -120,6 +120,20 @@ fn a_map_that_is_worse_than_it_says_is_no_blunder_of_the_marks() {
         let found = snooped(&made);
         assert_eq!(found.holding, [0, 1, 2, 3, 5, 6, 7], "{found:?}");
     }
+}
+
+/// A survey in feet, or with a tape that is 2 % too long; a single blunder is no other size.
+#[test]
+fn a_survey_of_another_size_is_named() {
+    for (too_long, expected) in [(1.0 / 3.2808, 3.2808), (1.02, 1.0 / 1.02)] {
+        let (marks, ..) = marks(6, too_long, 5);
+        let scale = scale_of_survey(&marks).expect("another size");
+        assert!((scale / expected - 1.0).abs() < 1e-3, "{scale}");
+    }
+    let (mut right, ..) = marks(6, 1.0, 5);
+    assert_eq!(scale_of_survey(&right), None);
+    right[1].in_site.x += 0.2;
+    assert_eq!(scale_of_survey(&right), None);
 }
 
 /// Three marks say that something is wrong, and not what.
