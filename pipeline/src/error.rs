@@ -2,6 +2,8 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
+use crate::ground_truth::OtherPlace;
+
 /// What can go wrong in this crate: what, where, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -332,6 +334,18 @@ pub enum Error {
         agreeing: usize,
         /// Localized frames of the next best that contradict it.
         rival: usize,
+    },
+    /// The whole walk fits the map nearly as well somewhere else.
+    #[error(
+        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_rival_margin is {margin}); walk on to where the place is unmistakable", other.matches_here, other.matches_there, other.away_m, other.turn_deg, path = path.display()
+    )]
+    LooksAlike {
+        /// The recording.
+        path: PathBuf,
+        /// The next best place.
+        other: OtherPlace,
+        /// How many times as much must be found.
+        margin: f64,
     },
     /// Much of what the map says should be in view is not there.
     #[error(

@@ -37,6 +37,20 @@ pub(crate) struct ReadFrames {
 /// Images of one trigger carry one time; this much apart is another.
 pub(crate) const SAME_INSTANT_NS: i64 = 2_000_000;
 
+/// The first of some times, those at least so much later than the one before, and the last.
+pub(crate) fn times_apart(times: &[Timestamp], secs: f64) -> Vec<usize> {
+    let mut chosen: Vec<usize> = Vec::new();
+    for (k, time) in times.iter().enumerate() {
+        let is_due = chosen
+            .last()
+            .is_none_or(|last| time.secs_since(times[*last]) >= secs || k + 1 == times.len());
+        if is_due {
+            chosen.push(k);
+        }
+    }
+    chosen
+}
+
 /// Images decoded at a time: enough for all threads, little enough to hold.
 const BATCH: usize = 32;
 

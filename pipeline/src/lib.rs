@@ -24,6 +24,7 @@ pub mod odometry;
 mod place_search;
 pub mod posed_images;
 pub mod preintegration;
+mod read_ahead;
 pub mod residuals;
 mod sampling;
 mod solve;

@@ -29,6 +29,9 @@ pub struct GroundTruthConfig {
     pub triangulation: TriangulationConfig,
     /// Localization of each instant.
     pub localization: LocalizerConfig,
+    /// Frames that are localized on their own are at least this far apart, seconds, but where one of them is not found: the others are matched where the walk
+    /// leads, with as many points for a tenth of the time.
+    pub localize_every_secs: f64,
     /// Fewest frames that must be localized in the map.
     pub min_localized_frames: usize,
     /// Least share of the localized frames that must agree with one another through the IMU.
@@ -160,6 +163,7 @@ impl Default for GroundTruthConfig {
             matching: MatchConfig::default(),
             triangulation: TriangulationConfig::default(),
             localization: LocalizerConfig::default(),
+            localize_every_secs: 0.095,
             min_localized_frames: 5,
             min_agreeing_share: 0.3,
             min_recognised_share: 0.2,
@@ -212,6 +216,7 @@ lsfb_types::bounds! {
         matching: section,
         triangulation: section,
         localization: section,
+        localize_every_secs: number(Bounds::NOT_NEGATIVE),
         min_localized_frames: number(Bounds::AtLeast(2.0)),
         min_agreeing_share: number(Bounds::Within(0.0, 1.0)),
         min_recognised_share: number(Bounds::Within(0.0, 1.0)),

@@ -20,6 +20,7 @@ use super::estimate::Estimate;
 use super::optimization::{choose_observations, optimize};
 use super::walk::{LocalObservation, LocalPoint, Walk};
 use crate::Error;
+use crate::frames::times_apart;
 
 /// Frames that are checked are this far apart, seconds: neighbours see the same points, and share their errors.
 const STEP_SECS: f64 = 0.095;
@@ -81,7 +82,8 @@ pub(super) fn check_halves(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Vec<HalvesCheck>, Error> {
-    let checked = checked_frames(walk);
+    let times: Vec<_> = walk.frames.iter().map(|frame| frame.time).collect();
+    let checked = times_apart(&times, STEP_SECS);
     let mut jobs: Vec<(Range<usize>, [usize; 2])> = Vec::new();
     for first in (0..checked.len()).step_by(FRAMES_AT_ONCE) {
         let end = (first + FRAMES_AT_ONCE).min(checked.len());
@@ -114,21 +116,6 @@ pub(super) fn check_halves(
         }
     }
     Ok(spread_to_neighbours(walk, &checked, &said))
-}
-
-/// Frames a step apart, the first and the last among them.
-fn checked_frames(walk: &Walk) -> Vec<usize> {
-    let mut checked: Vec<usize> = Vec::new();
-    for (k, frame) in walk.frames.iter().enumerate() {
-        let is_due = checked.last().is_none_or(|last| {
-            let secs = frame.time.secs_since(walk.frames[*last].time);
-            secs >= STEP_SECS || k + 1 == walk.frames.len()
-        });
-        if is_due {
-            checked.push(k);
-        }
-    }
-    checked
 }
 
 /// Of a frame that was not checked what holds for the worse of its two checked neighbours.

@@ -31,6 +31,7 @@ mod inertial;
 mod local_points;
 mod map_agreement;
 mod optimization;
+mod other_place;
 mod recorded_walk;
 mod refusal;
 mod report;
@@ -53,6 +54,7 @@ pub use dense::DenseState;
 pub use imu_refinement::ImuRefinement;
 pub use imu_swing::{ImuSwing, Swinging};
 pub use map_agreement::{MapAgreement, MapScale};
+pub use other_place::OtherPlace;
 pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,

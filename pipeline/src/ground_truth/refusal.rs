@@ -19,6 +19,8 @@ use crate::Error;
 pub(super) struct Judged<'a> {
     pub path: &'a Path,
     pub walk: &'a Walk,
+    /// Frames that were looked up in the map on their own.
+    pub looked_up: usize,
     pub start: &'a Start,
     pub imu: Option<&'a ImuRefinement>,
     pub trusted: &'a Trusted,
@@ -31,7 +33,7 @@ impl Judged<'_> {
     /// Why nothing of the walk may be given, if so.
     pub fn refusal(&self, config: &GroundTruthConfig) -> Option<Error> {
         let path = || self.path.to_owned();
-        let (recognised, frames) = (self.start.accepted_count, self.walk.frames.len());
+        let (recognised, frames) = (self.start.accepted_count, self.looked_up);
         let moved_m = || median(self.disagreements_m.to_vec()).unwrap_or(f64::INFINITY);
         let is_few = (recognised as f64) < config.min_recognised_share * frames as f64;
         let is_unchecked = is_few && !self.in_view.is_judged();

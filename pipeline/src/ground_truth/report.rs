@@ -6,6 +6,7 @@ use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
+use super::other_place::OtherPlace;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -102,12 +103,16 @@ pub struct GroundTruthReport {
     pub frames: u64,
     /// Features found in all images.
     pub features: u64,
-    /// Frames that visual localization placed in the map.
+    /// Frames that were looked up in the map on their own (`localize_every_secs`).
+    pub looked_up: u64,
+    /// Those of them that visual localization placed in the map.
     pub localized: u64,
     /// Localizations that disagreed with the IMU and the others, and were dropped.
     pub rejected_localizations: u64,
     /// Those among them that agree with the IMU and with one another at another place: the next best explanation of the walk.
     pub rival_localizations: u64,
+    /// The next best place of the whole walk; `None` where its images are found nowhere else.
+    pub other_place: Option<OtherPlace>,
     /// Frames in the trajectory.
     pub poses: u64,
     /// Frames in the trajectory that see too few map points to be placed alone: IMU and local points carry them.

@@ -1,5 +1,6 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -13,6 +14,7 @@ use super::dense::dense_states;
 use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, look_for_points};
 use super::map_agreement::MapAgreement;
+use super::other_place::other_place;
 use super::recorded_walk::RecordedWalk;
 use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
@@ -29,7 +31,7 @@ use crate::features::Feature;
 use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
 use crate::kept_stages::KeptStages;
-use crate::localization::{Localization, Localizer, localize_frames};
+use crate::localization::{Localization, Localizer, localize_frames_apart};
 use crate::residuals::MovingCamera;
 
 /// Refuses maps in which no walk is to be solved: those that failed when they were made, and those of other features.
@@ -98,16 +100,18 @@ fn solve_in_map(
         path, rig, read, ..
     } = recorded;
     let localizer = Localizer::new(map, &config.localization)?;
+    let apart_secs = config.localize_every_secs;
+    let looked_up =
+        localize_frames_apart(&localizer, &read.frames, rig, apart_secs, stages, progress)?;
+    let was_looked_up: Vec<bool> = looked_up.iter().map(Option::is_some).collect();
+    let tried = |range: Range<usize>| was_looked_up[range].iter().filter(|is| **is).count();
     let localized: Vec<Option<Localization>> =
-        localize_frames(&localizer, &read.frames, rig, stages, progress)?
-            .into_iter()
-            .map(Result::ok)
-            .collect();
+        looked_up.into_iter().map(|found| found?.ok()).collect();
     let count = localized.iter().flatten().count();
     if count < config.min_localized_frames {
         return Err(Error::NotLocalized {
             path: path.clone(),
-            frames: read.frames.len(),
+            frames: tried(0..read.frames.len()),
             localized: count,
             needed: config.min_localized_frames,
         });
@@ -173,6 +177,7 @@ fn solve_in_map(
     let judged = Judged {
         path,
         walk: &walk,
+        looked_up: tried(range.clone()),
         start: &start,
         imu: imu.as_ref(),
         trusted: &trusted,
@@ -182,6 +187,15 @@ fn solve_in_map(
     if let Some(refusal) = judged.refusal(config) {
         return Err(refusal);
     }
+    let seen = &read.frames[range.clone()];
+    let other_place = other_place(&localizer, rig, seen, &walk, estimate, config);
+    if let Some(other) = other_place.filter(|other| other.margin() < config.min_rival_margin) {
+        return Err(Error::LooksAlike {
+            path: path.clone(),
+            other,
+            margin: config.min_rival_margin,
+        });
+    }
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory)?;
     (report.imu, report.map) = (imu, agreement);
@@ -189,7 +203,9 @@ fn solve_in_map(
     report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
+    report.looked_up = tried(0..read.frames.len()) as u64;
     report.localized = count as u64;
+    report.other_place = other_place;
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
     report.max_disagreement_m = config.max_disagreement_m;
@@ -257,7 +273,7 @@ fn frames_in_reach(
     frames: &[FeatureFrame],
     localized: &[Option<Localization>],
     config: &GroundTruthConfig,
-) -> std::ops::Range<usize> {
+) -> Range<usize> {
     let first = localized.iter().position(Option::is_some).unwrap_or(0);
     let last = localized.iter().rposition(Option::is_some).unwrap_or(0);
     let reach = config.max_extrapolation_secs;
@@ -309,9 +325,11 @@ fn report(
     Ok(GroundTruthReport {
         frames: 0,
         features: 0,
+        looked_up: 0,
         localized: 0,
         rejected_localizations: 0,
         rival_localizations: 0,
+        other_place: None,
         poses: trusted.poses.len() as u64,
         bridged: trusted.bridged as u64,
         largest_disagreement_m: trusted.disagreements_m.iter().copied().fold(0.0, f64::max),

@@ -19,7 +19,7 @@ use crate::hd_map::{HdMap, MapNeighbour};
 #[derive(Clone, Debug)]
 pub struct Localizer {
     pub(super) map: HdMap,
-    places: Places,
+    pub(super) places: Places,
     pub(super) map_error: MapError,
     pub(super) config: LocalizerConfig,
 }
@@ -113,15 +113,7 @@ impl Localizer {
                 reason: NotLocalizedReason::NoPlace { votes: best },
             });
         }
-        let grids: Vec<KeypointGrid> = frames
-            .iter()
-            .zip(&cameras)
-            .map(|(frame, mounted)| {
-                let (camera, radius) = (&mounted.camera, self.config.projection_radius_px);
-                let keypoints = &frame.features.keypoints;
-                KeypointGrid::new(keypoints, camera.width, camera.height, 2.0 * radius)
-            })
-            .collect();
+        let grids = self.grids(frames, &cameras);
         let no_pose = NotLocalized {
             reason: NotLocalizedReason::NoPose,
         };
@@ -201,7 +193,7 @@ impl Localizer {
     }
 
     /// The cameras of the frames: those of the map's own images as these showed them.
-    fn mount(
+    pub(super) fn mount(
         &self,
         frames: &[FrameFeatures],
         rig: &Rig,
@@ -232,6 +224,21 @@ impl Localizer {
         mounted.collect()
     }
 
+    /// The features of frames by where they are, as [`Query`] wants them.
+    pub(super) fn grids(
+        &self,
+        frames: &[FrameFeatures],
+        cameras: &[MountedCamera],
+    ) -> Vec<KeypointGrid> {
+        let both = frames.iter().zip(cameras);
+        both.map(|(frame, mounted)| {
+            let (camera, radius) = (&mounted.camera, self.config.projection_radius_px);
+            let keypoints = &frame.features.keypoints;
+            KeypointGrid::new(keypoints, camera.width, camera.height, 2.0 * radius)
+        })
+        .collect()
+    }
+
     pub(super) fn guided(&self) -> GuidedConfig<'_> {
         GuidedConfig {
             radius_px: self.config.projection_radius_px,
@@ -242,7 +249,7 @@ impl Localizer {
     }
 
     /// For each feature the map points it may show, nearest first, each point once.
-    fn look_up(&self, frame: &FrameFeatures) -> Vec<Candidates> {
+    pub(super) fn look_up(&self, frame: &FrameFeatures) -> Vec<Candidates> {
         let mut scratch = SearchScratch::default();
         let config = &self.config;
         let limit = (config.max_distance * DESCRIPTOR_NORM).powi(2);
@@ -270,7 +277,7 @@ impl Localizer {
     }
 
     /// The pose among the points of a place, if there is one.
-    fn pose_at(
+    pub(super) fn pose_at(
         &self,
         query: &Query,
         points: Vec<u32>,
@@ -331,7 +338,7 @@ const SAME_POSE_M: f64 = 0.5;
 const SAME_POSE_DEG: f64 = 10.0;
 
 /// Whether two poses contradict each other.
-fn contradict(a: &Se3, b: &Se3) -> bool {
+pub(super) fn contradict(a: &Se3, b: &Se3) -> bool {
     let off = a.inverse() * *b;
     off.translation.norm() > SAME_POSE_M || off.rotation.angle().to_degrees() > SAME_POSE_DEG
 }

@@ -8,6 +8,7 @@
 mod acceptance;
 mod config;
 mod covariance;
+mod elsewhere;
 mod focal_length;
 mod given_poses;
 mod guided_matching;
@@ -28,12 +29,13 @@ mod voting;
 
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
+pub(crate) use elsewhere::{PlacedFrame, find_elsewhere};
 pub use joint_focal_length::{JointFocalLength, JointVerdict};
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 pub use p3p::solve_p3p;
-pub(crate) use queries::localize_frames;
+pub(crate) use queries::localize_frames_apart;
 pub use queries::{
     ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, judge_together,
     localize_images, localize_posed_images, localize_recording, localize_recording_in_stages,

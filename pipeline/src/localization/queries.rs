@@ -13,7 +13,7 @@ use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
-use crate::frames::{FeatureFrame, read_frames};
+use crate::frames::{FeatureFrame, read_frames, times_apart};
 use crate::kept_stages::KeptStages;
 use crate::posed_images::{PosedImages, read_image};
 
@@ -254,17 +254,64 @@ pub fn localize_recording_in_stages(
 const PART: usize = 64;
 
 /// Localizes each frame of a walk on its own, in their order; the focal lengths of the rig are judged by all of them.
-pub(crate) fn localize_frames(
+fn localize_frames(
     localizer: &Localizer,
     frames: &[FeatureFrame],
     rig: &Rig,
     stages: &KeptStages,
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
+    let all: Vec<&FeatureFrame> = frames.iter().collect();
+    let found = localize_parts(localizer, &all, rig, "localized", stages, progress)?;
+    Ok(judge_together(found, localizer.min_probability()))
+}
+
+/// [`localize_frames`] of some: the first, those at least so much later than the one before, the last; and where one of these is not
+/// found, all between it and its neighbours. `None` of the others.
+pub(crate) fn localize_frames_apart(
+    localizer: &Localizer,
+    frames: &[FeatureFrame],
+    rig: &Rig,
+    apart_secs: f64,
+    stages: &KeptStages,
+    progress: ProgressFn,
+) -> Result<Vec<Option<Result<Localization, NotLocalized>>>, Error> {
+    let times: Vec<Timestamp> = frames.iter().map(|frame| frame.time).collect();
+    let of = |name: &str, chosen: &[usize]| {
+        let frames: Vec<&FeatureFrame> = chosen.iter().map(|k| &frames[*k]).collect();
+        localize_parts(localizer, &frames, rig, name, stages, progress)
+    };
+    let sparse = times_apart(&times, apart_secs);
+    let found = of("localized", &sparse)?;
+    let pairs = sparse.windows(2).zip(found.windows(2));
+    let lost = pairs.filter(|(_, found)| found.iter().any(Result::is_err));
+    let between: Vec<usize> = lost.flat_map(|(k, _)| k[0] + 1..k[1]).collect();
+    let found_between = of("localized_between", &between)?;
+    let both = sparse.into_iter().zip(found);
+    let mut both: Vec<_> = both.chain(between.into_iter().zip(found_between)).collect();
+    both.sort_by_key(|(k, _)| *k);
+    let (places, answers): (Vec<usize>, Vec<_>) = both.into_iter().unzip();
+    let judged = judge_together(answers, localizer.min_probability());
+    let mut all: Vec<_> = frames.iter().map(|_| None).collect();
+    for (k, found) in places.into_iter().zip(judged) {
+        all[k] = Some(found);
+    }
+    Ok(all)
+}
+
+/// Localizes each of some frames alone; what is found is kept part by part.
+fn localize_parts(
+    localizer: &Localizer,
+    frames: &[&FeatureFrame],
+    rig: &Rig,
+    name: &str,
+    stages: &KeptStages,
+    progress: ProgressFn,
+) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
     let mut found = Vec::with_capacity(frames.len());
     for (number, part) in frames.chunks(PART).enumerate() {
         let done = AtomicU64::new(found.len() as u64);
-        let of_part: Vec<_> = stages.once(&format!("localized_{number:05}"), || {
+        let of_part: Vec<_> = stages.once(&format!("{name}_{number:05}"), || {
             let localized = part.par_iter().map(|frame| {
                 let found = localizer.localize(&frame.features, rig);
                 progress(Progress {
@@ -278,5 +325,5 @@ pub(crate) fn localize_frames(
         })?;
         found.extend(of_part);
     }
-    Ok(judge_together(found, localizer.min_probability()))
+    Ok(found)
 }

@@ -1,5 +1,7 @@
 //! Which images of the map see what a query sees.
 
+use lsfb_geometry::Se3;
+
 use crate::hd_map::{HdMap, MapNeighbour};
 
 /// A map image: one camera of one keyframe.
@@ -16,6 +18,8 @@ pub(crate) struct Places {
     points: Vec<Vec<u32>>,
     /// Images that see each point, by number.
     seen_by: Vec<Vec<u32>>,
+    /// The images, by number.
+    images: Vec<MapView>,
 }
 
 /// What one feature may show: candidates of the map, nearest first.
@@ -52,7 +56,22 @@ impl Places {
             }
             seen_by.push(images);
         }
-        Self { points, seen_by }
+        Self {
+            points,
+            seen_by,
+            images: all,
+        }
+    }
+
+    /// Number of each image and `world_from_camera` of it; `None` where the map does not say.
+    pub fn poses<'a>(&'a self, map: &'a HdMap) -> impl Iterator<Item = (u32, Option<Se3>)> + 'a {
+        let pose = |view: &MapView| {
+            let name = map.cameras().get(usize::from(view.camera))?;
+            let mounted = map.rig().cameras.get(name)?;
+            Some(map.keyframe(view.keyframe)?.world_from_rig * mounted.rig_from_camera)
+        };
+        let images = self.images.iter().map(pose);
+        (0..).zip(images)
     }
 
     /// Images with at least `min_votes`, most votes first. A feature votes once for each image that sees a candidate

@@ -42,6 +42,7 @@ use crate::hd_map::{
 use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, run_odometry, scan_count};
+use crate::read_ahead::read_ahead;
 use crate::stored_clouds::StoredClouds;
 use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
 use adjustment::{Terms, adjust};
@@ -332,17 +333,23 @@ fn look_at_scans(
     };
     let total = scan_count(recording);
     let mut times = Vec::new();
-    // Damaged ones are told by the stages before.
-    for (done, scan) in (0..).zip(recording.scans()?.flatten()) {
-        progress(Progress {
-            stage: "agreement of scans",
-            done,
-            total,
-        })?;
-        if builder.insert(&scan, world_from_rig) {
-            times.push(scan.time);
-        }
-    }
+    let mut done = 0;
+    read_ahead(
+        || recording.scans(),
+        |scan| {
+            progress(Progress {
+                stage: "agreement of scans",
+                done,
+                total,
+            })?;
+            done += 1;
+            // Damaged ones are told by the stages before.
+            let whole = scan.ok();
+            let inserted = whole.filter(|scan| builder.insert(scan, world_from_rig));
+            times.extend(inserted.map(|scan| scan.time));
+            Ok(())
+        },
+    )?;
     let agreement = *builder.finish().agreement();
     let periods = times.windows(2).map(|t| t[1].secs_since(t[0]));
     let usual_s = median(periods.clone().collect()).unwrap_or(0.0);

@@ -38,6 +38,9 @@ impl Residual for LidarEdge {
         let p = m_from_n * self.point_in_n;
         let across = so3::hat(&(self.direction_in_m / self.sigma_m));
         out.set_residual(&(across * (p - self.point_in_m)));
+        if !(0..2).any(|block| out.wants_jacobian(block)) {
+            return Ok(());
+        }
         // ∂p/∂δm = [[p]×, −I]
         out.set_jacobian(0, &(across * moved_by_inverse(&p)));
         // ∂p/∂δn = R [−[ⁿp]×, I]

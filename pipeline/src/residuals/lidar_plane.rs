@@ -34,15 +34,20 @@ impl Residual for LidarPlane {
     ) -> Result<(), Undefined> {
         let world_from_m: Se3 = parameters.get(0);
         let world_from_n: Se3 = parameters.get(1);
-        let m_from_n = world_from_m.inverse() * world_from_n;
-        let p = m_from_n * self.point_in_n;
+        // Turned one after the other: cheaper than the pose of one in the other, and a map has millions of these.
+        let off_m = world_from_n * self.point_in_n - world_from_m.translation;
+        let p = world_from_m.rotation.inverse_transform_vector(&off_m);
         let n = self.normal_in_m / self.sigma_m;
         out.set_residual(&Vector1::new(n.dot(&(p - self.point_in_m))));
+        if !(0..2).any(|block| out.wants_jacobian(block)) {
+            return Ok(());
+        }
         // ∂p/∂δm = [[p]×, −I]
         let by_m = n.cross(&p);
         out.set_jacobian(0, &row(&by_m, &-n));
         // ∂p/∂δn = R [−[ⁿp]×, I]
-        let n_in_n = m_from_n.rotation.inverse() * n;
+        let n_in_world = world_from_m.rotation * n;
+        let n_in_n = world_from_n.rotation.inverse_transform_vector(&n_in_world);
         out.set_jacobian(1, &row(&self.point_in_n.cross(&n_in_n), &n_in_n));
         Ok(())
     }

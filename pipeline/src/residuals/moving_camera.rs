@@ -182,26 +182,15 @@ impl MovingCamera {
         Some(pixel)
     }
 
-    /// [`MovingCamera::project_in_row`] of the corrected camera, with derivatives: with `τ` the time of the row,
-    /// `y = R_WRᵀ (X − p − shift(τ))`, `q = exp(turn(τ))ᵀ y`, `c = exp(φ) (T_CR q) + ρ` and `Π = ∂π/∂c`, all by
-    /// the chain rule:
-    ///
-    /// | by | is |
-    /// |---|---|
-    /// | pose | `Π exp(φ) R_CR exp(turn)ᵀ [[y]ₓ, −I]` |
-    /// | point | `Π exp(φ) R_CR exp(turn)ᵀ R_WRᵀ` |
-    /// | φ, ρ | `−Π [exp(φ) T_CR q]ₓ Jₗ(φ)`, `Π` |
-    /// | focal length | `π(c) − principal point` |
-    /// | clock | `Π exp(φ) R_CR (−Jᵣ(turn) turn' × q − (R_WR exp(turn))ᵀ shift')` |
-    /// | readout | the same times the row's share |
-    pub(super) fn see(
+    /// A point of the world before the corrected camera, when it exposes a row.
+    pub(super) fn sight(
         &self,
         at_stamp: &Se3,
         motion: &FrameMotion,
         correction: &CameraCorrection,
         row_px: f64,
         point_in_world: &Vector3<f64>,
-    ) -> Result<SeenInMotion, Undefined> {
+    ) -> Sight<'_> {
         let share = row_time_s(&self.camera, 1.0, row_px);
         let after_secs = self.after_stamp_secs(row_px)
             + correction[entry::CLOCK]
@@ -215,39 +204,105 @@ impl MovingCamera {
         let stated = self.camera_from_rig_rotation * in_rig + self.camera_from_rig.translation;
         let phi = correction.fixed_rows::<3>(entry::TURN).into_owned();
         let turned = so3::exp(&phi).to_rotation_matrix().into_inner();
-        let in_camera = turned * stated + correction.fixed_rows::<3>(entry::SHIFT);
-        let projection = self
-            .camera
-            .project_with_jacobian(&in_camera)
-            .ok_or(Undefined)?;
+        Sight {
+            camera: self,
+            focal: 1.0 + correction[entry::FOCAL],
+            share,
+            turn,
+            turn_rate_rad_s: motion.turn_rate_rad_s + motion.turn_acceleration_rad_s2 * after_secs,
+            velocity_m_s: motion.velocity_m_s + motion.acceleration_m_s2 * after_secs,
+            rig_from_stamp,
+            stamp_from_world,
+            at_stamp_y,
+            in_rig,
+            stated,
+            phi,
+            turned,
+            in_camera: turned * stated + correction.fixed_rows::<3>(entry::SHIFT),
+        }
+    }
+}
 
-        let focal = 1.0 + correction[entry::FOCAL];
-        let from_principal = projection.pixel - Vector2::from(self.camera.principal_px());
-        let by_camera = projection.pixel_by_point * focal;
-        let by_rig = by_camera * turned * self.camera_from_rig_rotation;
-        let by_stamp = by_rig * rig_from_stamp;
+/// A point before a camera of the rig in motion. With `τ` the time of the row, `y = R_WRᵀ (X − p − shift(τ))`,
+/// `q = exp(turn(τ))ᵀ y`, `c = exp(φ) (T_CR q) + ρ` and `Π = ∂π/∂c`, the derivatives of its pixel are, all by the chain rule:
+///
+/// | by | is |
+/// |---|---|
+/// | pose | `Π exp(φ) R_CR exp(turn)ᵀ [[y]ₓ, −I]` |
+/// | point | `Π exp(φ) R_CR exp(turn)ᵀ R_WRᵀ` |
+/// | φ, ρ | `−Π [exp(φ) T_CR q]ₓ Jₗ(φ)`, `Π` |
+/// | focal length | `π(c) − principal point` |
+/// | clock | `Π exp(φ) R_CR (−Jᵣ(turn) turn' × q − (R_WR exp(turn))ᵀ shift')` |
+/// | readout | the same times the row's share |
+pub(super) struct Sight<'a> {
+    camera: &'a MovingCamera,
+    /// By how much the focal length is larger.
+    focal: f64,
+    /// Of the readout, until the row.
+    share: f64,
+    turn: Vector3<f64>,
+    /// `turn'` and `shift'`.
+    turn_rate_rad_s: Vector3<f64>,
+    velocity_m_s: Vector3<f64>,
+    rig_from_stamp: Matrix3<f64>,
+    stamp_from_world: Matrix3<f64>,
+    /// `y`.
+    at_stamp_y: Vector3<f64>,
+    /// `q`.
+    in_rig: Vector3<f64>,
+    /// `T_CR q`.
+    stated: Vector3<f64>,
+    phi: Vector3<f64>,
+    /// `exp(φ)`.
+    turned: Matrix3<f64>,
+    /// `c`.
+    in_camera: Vector3<f64>,
+}
 
-        let turning = so3::right_jacobian(&turn)
-            * (motion.turn_rate_rad_s + motion.turn_acceleration_rad_s2 * after_secs);
-        let velocity = motion.velocity_m_s + motion.acceleration_m_s2 * after_secs;
-        let by_time =
-            by_rig * (-turning.cross(&in_rig) - rig_from_stamp * stamp_from_world * velocity);
-        let by_turn = -by_camera * so3::hat(&(turned * stated)) * so3::left_jacobian(&phi);
+impl Sight<'_> {
+    /// Where it is seen: what costs need, and a third of the work.
+    pub(super) fn pixel(&self) -> Result<Vector2<f64>, Undefined> {
+        let pixel = self.camera.camera.project(&self.in_camera);
+        let pixel = pixel.ok_or(Undefined)?;
+        Ok(self.magnified(&pixel))
+    }
+
+    fn magnified(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+        let principal = Vector2::from(self.camera.camera.principal_px());
+        principal + (pixel - principal) * self.focal
+    }
+
+    /// The same with derivatives; those by the correction only where they are wanted, else zero.
+    pub(super) fn see(&self, with_correction: bool) -> Result<SeenInMotion, Undefined> {
+        let camera = &self.camera.camera;
+        let projection = camera.project_with_jacobian(&self.in_camera);
+        let projection = projection.ok_or(Undefined)?;
+        let by_camera = projection.pixel_by_point * self.focal;
+        let by_rig = by_camera * self.turned * self.camera.camera_from_rig_rotation;
+        let by_stamp = by_rig * self.rig_from_stamp;
         let mut by_correction = SMatrix::<f64, 2, 9>::zeros();
-        by_correction
-            .fixed_columns_mut::<3>(entry::TURN)
-            .copy_from(&by_turn);
-        by_correction
-            .fixed_columns_mut::<3>(entry::SHIFT)
-            .copy_from(&by_camera);
-        by_correction.set_column(entry::FOCAL, &from_principal);
-        by_correction.set_column(entry::CLOCK, &by_time);
-        by_correction.set_column(entry::READOUT, &(by_time * share));
+        if with_correction {
+            let turning = so3::right_jacobian(&self.turn) * self.turn_rate_rad_s;
+            let moving = self.rig_from_stamp * self.stamp_from_world * self.velocity_m_s;
+            let by_time = by_rig * (-turning.cross(&self.in_rig) - moving);
+            let by_turn =
+                -by_camera * so3::hat(&(self.turned * self.stated)) * so3::left_jacobian(&self.phi);
+            by_correction
+                .fixed_columns_mut::<3>(entry::TURN)
+                .copy_from(&by_turn);
+            by_correction
+                .fixed_columns_mut::<3>(entry::SHIFT)
+                .copy_from(&by_camera);
+            let from_principal = projection.pixel - Vector2::from(camera.principal_px());
+            by_correction.set_column(entry::FOCAL, &from_principal);
+            by_correction.set_column(entry::CLOCK, &by_time);
+            by_correction.set_column(entry::READOUT, &(by_time * self.share));
+        }
         Ok(SeenInMotion {
-            pixel: Vector2::from(self.camera.principal_px()) + from_principal * focal,
-            by_pose: by_stamp * moved_by_inverse(&at_stamp_y),
+            pixel: self.magnified(&projection.pixel),
+            by_pose: by_stamp * moved_by_inverse(&self.at_stamp_y),
             by_correction,
-            by_point: by_stamp * stamp_from_world,
+            by_point: by_stamp * self.stamp_from_world,
         })
     }
 }
@@ -319,10 +374,12 @@ pub(super) mod tests {
     fn the_correction_that_is_searched_is_the_corrected_camera() {
         let (corrected, motion) = (phone().corrected(&correction()), motion());
         for (point, pixel) in sights() {
-            let seen = phone()
-                .see(&pose(), &motion, &correction(), pixel.y, &point)
-                .unwrap_or_else(|_| panic!("in front"));
+            let phone = phone();
+            let sight = phone.sight(&pose(), &motion, &correction(), pixel.y, &point);
+            let seen = sight.see(true).unwrap_or_else(|_| panic!("in front"));
             assert!((seen.pixel - pixel).norm() < 1e-3, "{}", seen.pixel - pixel);
+            let alone = sight.pixel().unwrap_or_else(|_| panic!("in front"));
+            assert!((seen.pixel - alone).norm() < 1e-9);
             let again = corrected.project_in_row(&pose(), &motion, pixel.y, &point);
             assert!((seen.pixel - again.expect("in front")).norm() < 1e-9);
         }

@@ -41,10 +41,14 @@ impl Residual for MovingReprojection {
         let (pose, correction): (Se3, CameraCorrection) = (parameters.get(0), parameters.get(1));
         let point: Vector3<f64> = parameters.get(2);
         let row_px = self.pixel.y;
-        let seen = self
-            .camera
-            .see(&pose, &self.motion, &correction, row_px, &point)?;
+        let camera = &self.camera;
+        let sight = camera.sight(&pose, &self.motion, &correction, row_px, &point);
         let weight = 1.0 / self.sigma_px;
+        if !(0..3).any(|block| out.wants_jacobian(block)) {
+            out.set_residual(&((sight.pixel()? - self.pixel) * weight));
+            return Ok(());
+        }
+        let seen = sight.see(out.wants_jacobian(1))?;
         out.set_residual(&((seen.pixel - self.pixel) * weight));
         out.set_jacobian(0, &(seen.by_pose * weight));
         out.set_jacobian(1, &(seen.by_correction * weight));

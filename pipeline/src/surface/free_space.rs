@@ -5,7 +5,7 @@ use lsfb_perception::lidar::{CellMap, cell_key};
 
 use super::BLOCK_M;
 
-/// Voxels along each side of a block, and their edge.
+/// Voxels along each side of a block, a power of two, and their edge.
 const SIDE: usize = 4;
 const VOXEL_M: f64 = BLOCK_M / SIDE as f64;
 /// Distance of the places that are looked at along a ray, metres.
@@ -57,11 +57,14 @@ fn steps(length_m: f64) -> impl Iterator<Item = f64> {
     (0..count).map(|step| step as f64 * STEP_M)
 }
 
-/// Key of the block, and bit of the voxel in it.
+/// Key of the block, and bit of the voxel in it: a block is what shares all but the last bits of a voxel's key.
 fn place(at: &Vector3<f64>) -> (u64, u64) {
-    let inside = |x: f64| ((x / VOXEL_M).floor().rem_euclid(SIDE as f64)) as usize;
-    let index = (inside(at.x) * SIDE + inside(at.y)) * SIDE + inside(at.z);
-    (cell_key(at, 1.0 / BLOCK_M), 1 << index)
+    const INSIDE: u64 = SIDE as u64 - 1;
+    let voxel = cell_key(at, 1.0 / VOXEL_M);
+    let inside = [42, 21, 0].map(|axis| voxel >> axis & INSIDE);
+    let index = inside.iter().fold(0, |index, at| index * SIDE as u64 + at);
+    let block = voxel & !(INSIDE << 42 | INSIDE << 21 | INSIDE);
+    (block, 1 << index)
 }
 
 #[cfg(test)]

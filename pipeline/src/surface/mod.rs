@@ -81,6 +81,30 @@ struct Voxel {
     count: u32,
 }
 
+/// Adds a return to its voxel.
+fn join_voxel(
+    index_of: &mut CellMap<usize>,
+    voxels: &mut Vec<Voxel>,
+    point: &Vector3<f64>,
+    sensor: &Vector3<f64>,
+) {
+    let next = voxels.len();
+    let index = *index_of
+        .entry(cell_key(point, 1.0 / VOXEL_M))
+        .or_insert(next);
+    if index == next {
+        voxels.push(Voxel {
+            sum: Vector3::zeros(),
+            towards_sensor: Vector3::zeros(),
+            count: 0,
+        });
+    }
+    let voxel = &mut voxels[index];
+    voxel.sum += point;
+    voxel.towards_sensor += (sensor - point).normalize();
+    voxel.count += 1;
+}
+
 /// A [`Surface`] that scans are still inserted into.
 #[derive(Debug)]
 pub struct SurfaceBuilder {
@@ -136,34 +160,24 @@ impl SurfaceBuilder {
                 used.then(|| motion.undo(i64::from(p.time_offset_ns), &in_lidar))
             })
             .collect();
-        let sensor = self.lidar.rig_from_lidar.translation;
-        self.planes.insert(&seen, &world_from_middle, &sensor);
-        let sensor = world_from_middle * sensor;
-        let nth = seen.len().div_ceil(BEAMS_PER_SCAN).max(1);
-        let asked = seen.len().div_ceil(ASKED_PER_SCAN).max(1);
-        for (number, point) in seen.into_iter().enumerate() {
-            let point = world_from_middle * point;
-            if number % nth == 0 {
-                self.free.pass(&sensor, &point);
-            }
-            if number % asked == 0 {
-                self.asked.push(Beam { sensor, end: point });
-            }
-            let next = self.voxels.len();
-            let key = cell_key(&point, 1.0 / VOXEL_M);
-            let index = *self.index_of.entry(key).or_insert(next);
-            if index == next {
-                self.voxels.push(Voxel {
-                    sum: Vector3::zeros(),
-                    towards_sensor: Vector3::zeros(),
-                    count: 0,
-                });
-            }
-            let voxel = &mut self.voxels[index];
-            voxel.sum += point;
-            voxel.towards_sensor += (sensor - point).normalize();
-            voxel.count += 1;
-        }
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        let sensor = world_from_middle * sensor_in_rig;
+        let (planes, free) = (&mut self.planes, &mut self.free);
+        let (asked, index_of, voxels) = (&mut self.asked, &mut self.index_of, &mut self.voxels);
+        // Each by itself in order: the same whoever works on which.
+        rayon::join(
+            || planes.insert(&seen, &world_from_middle, &sensor_in_rig),
+            || {
+                let in_world = || seen.iter().map(|point| world_from_middle * *point);
+                let every = |most: usize| seen.len().div_ceil(most).max(1);
+                for point in in_world().step_by(every(BEAMS_PER_SCAN)) {
+                    free.pass(&sensor, &point);
+                }
+                let ends = in_world().step_by(every(ASKED_PER_SCAN));
+                asked.extend(ends.map(|end| Beam { sensor, end }));
+                in_world().for_each(|point| join_voxel(index_of, voxels, &point, &sensor));
+            },
+        );
         true
     }
 

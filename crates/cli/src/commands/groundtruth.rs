@@ -100,11 +100,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         &Judged::new(&judgement, "the trajectory", &found.said),
         || {
             let mut text = format!(
-                "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
+                "{}: {} poses, {} of {} frames that were looked up localized, {} bridged, reprojection {:.3} px rms\n",
                 arguments.out.display(),
                 found.trajectory.len(),
                 r.localized,
-                r.frames,
+                r.looked_up,
                 r.bridged,
                 r.map_errors.rms_px
             );

@@ -23,6 +23,7 @@ use super::report::OdometryReport;
 use super::warning::OdometryWarning;
 use super::{Odometry, OdometryConfig};
 use crate::Error;
+use crate::read_ahead::read_ahead;
 use crate::worst_sigma::worst_sigmas;
 pub(crate) use damages::Damages;
 use found::Found;
@@ -378,34 +379,6 @@ pub fn run_odometry(
         .extend(damaged.map(|what| OdometryWarning::Damaged { what }));
     result.expect_poses(recording.path())?;
     Ok(result)
-}
-
-/// Scans that are read while others are registered.
-const AHEAD: usize = 4;
-
-/// Takes each item of a stream in turn, while a second thread, which opens it, reads those behind it; where none can be started, one after
-/// the other. Ends at the first failure.
-fn read_ahead<T: Send, S: Iterator<Item = T>>(
-    open: impl Fn() -> Result<S, lsfb_recording::Error> + Sync,
-    mut take: impl FnMut(T) -> Result<(), Error>,
-) -> Result<(), Error> {
-    std::thread::scope(|scope| {
-        let (sender, items) = std::sync::mpsc::sync_channel(AHEAD);
-        let open = &open;
-        let read = move || {
-            // Nobody takes more after a failure.
-            let send = |item| sender.send(item).is_ok();
-            match open() {
-                Ok(mut stream) => stream.all(|item| send(Ok(item))),
-                Err(why) => send(Err(why)),
-            }
-        };
-        let reader = std::thread::Builder::new().name("read-scans".to_owned());
-        match reader.spawn_scoped(scope, read) {
-            Ok(_) => items.into_iter().try_for_each(|item| take(item?)),
-            Err(_) => open()?.try_for_each(take),
-        }
-    })
 }
 
 /// Inertial samples in order of time; none where the rig or the recording has no IMU.

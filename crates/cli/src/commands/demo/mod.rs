@@ -169,7 +169,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ate_scanner_max_m: judged.scanner.ate_translation_m.max,
         map_reprojection_px: map.report.reprojection_rms_px,
         map_points: map.report.points,
-        glasses_localized: localized.localized as f64 / localized.frames.max(1) as f64,
+        glasses_localized: localized.localized as f64 / localized.looked_up.max(1) as f64,
         lost,
         left_out: localized.left_out.len() as u64,
         wall_s: began.elapsed().as_secs_f64(),
