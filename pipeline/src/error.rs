@@ -335,9 +335,15 @@ pub enum Error {
         /// Localized frames of the next best that contradict it.
         rival: usize,
     },
+    /// Files are named by cameras.
+    #[error("a camera is called {name:?}: files are named by cameras, and this is no name for one")]
+    CameraName {
+        /// Its name.
+        name: String,
+    },
     /// The whole walk fits the map nearly as well somewhere else.
     #[error(
-        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_rival_margin is {margin}); walk on to where the place is unmistakable", other.matches_here, other.matches_there, other.away_m, other.turn_deg, path = path.display()
+        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_place_margin is {margin}); walk on to where the place is unmistakable", other.matches_here, other.matches_there, other.away_m, other.turn_deg, path = path.display()
     )]
     LooksAlike {
         /// The recording.

@@ -41,6 +41,8 @@ pub struct GroundTruthConfig {
     pub min_recognised_share: f64,
     /// How many times as many localized frames must agree as with any other explanation of the walk that contradicts it.
     pub min_rival_margin: f64,
+    /// How many times as many points must be found where the walk is said to be as if all of it were where it fits next best.
+    pub min_place_margin: f64,
     /// Standard deviation of a localized position beyond what its matches say, metres.
     pub localization_sigma_m: f64,
     /// Standard deviation of a localized attitude beyond what its matches say, radians.
@@ -168,6 +170,7 @@ impl Default for GroundTruthConfig {
             min_agreeing_share: 0.3,
             min_recognised_share: 0.2,
             min_rival_margin: 2.0,
+            min_place_margin: 1.3,
             localization_sigma_m: 0.03,
             localization_sigma_rad: 0.01,
             track_steps: vec![1, 3],
@@ -221,6 +224,7 @@ lsfb_types::bounds! {
         min_agreeing_share: number(Bounds::Within(0.0, 1.0)),
         min_recognised_share: number(Bounds::Within(0.0, 1.0)),
         min_rival_margin: number(Bounds::AtLeast(1.0)),
+        min_place_margin: number(Bounds::AtLeast(1.0)),
         localization_sigma_m: number(Bounds::POSITIVE),
         localization_sigma_rad: number(Bounds::POSITIVE),
         track_steps: each(Bounds::AT_LEAST_ONE),

@@ -15,11 +15,13 @@ const INSTANTS: usize = 24;
 /// The next best place of a walk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OtherPlace {
-    /// How far from where the walk is said to be, at its middle, metres, and how far it would be turned, degrees.
+    /// How far from where the walk is said to be, at its middle, metres.
     pub away_m: f64,
+    /// How far it would be turned, degrees.
     pub turn_deg: f64,
-    /// Points of the map that some of its instants show where they are said to be, and there.
+    /// Points of the map that some of its instants show where they are said to be.
     pub matches_here: u64,
+    /// The same if all of them were there.
     pub matches_there: u64,
 }
 

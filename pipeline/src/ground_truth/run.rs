@@ -189,11 +189,11 @@ fn solve_in_map(
     }
     let seen = &read.frames[range.clone()];
     let other_place = other_place(&localizer, rig, seen, &walk, estimate, config);
-    if let Some(other) = other_place.filter(|other| other.margin() < config.min_rival_margin) {
+    if let Some(other) = other_place.filter(|other| other.margin() < config.min_place_margin) {
         return Err(Error::LooksAlike {
             path: path.clone(),
             other,
-            margin: config.min_rival_margin,
+            margin: config.min_place_margin,
         });
     }
     let trajectory = Trajectory::new(trusted.poses.clone());

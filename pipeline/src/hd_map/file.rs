@@ -3,7 +3,7 @@ use std::fs;
 use std::path::Path;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
-use lsfb_geometry::Rig;
+use lsfb_geometry::{Rig, StampedPose};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -24,6 +24,9 @@ const HEADER: &str = HdMap::HEADER;
 const RIG: &str = "rig.toml";
 /// Cameras as they were stated, where `RIG` has them as their images showed them; absent where there is none.
 const STATED: &str = "rig_stated.toml";
+/// Numbers of a quaternion are of length 1 up to this.
+const UNIT_WITHIN: f64 = 1e-6;
+
 const TABLES: [&str; 4] = [
     "points.arrow",
     "keyframes.arrow",
@@ -345,6 +348,19 @@ impl HdMap {
                 &folder.join(HEADER),
                 "its counts are not those of the tables",
             ));
+        }
+        let is_pose = |pose: StampedPose| {
+            let StampedPose { world_from_rig, .. } = pose;
+            let is_turn = (world_from_rig.rotation.coords.norm() - 1.0).abs() < UNIT_WITHIN;
+            is_turn && world_from_rig.translation.iter().all(|m| m.is_finite())
+        };
+        if !self.keyframes().all(is_pose) {
+            return Err(broken(&folder.join(TABLES[1]), "a pose is none"));
+        }
+        let p = &self.points;
+        let mut metres = p.x_m.iter().chain(p.y_m.iter()).chain(p.z_m.iter());
+        if !metres.all(|m| m.is_finite()) {
+            return Err(broken(&folder.join(TABLES[0]), "a position is none"));
         }
         match checks.iter().find(|(_, sound)| !sound) {
             Some((name, _)) => Err(broken(&folder.join(name), "a row points to nothing")),

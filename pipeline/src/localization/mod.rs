@@ -29,6 +29,8 @@ mod voting;
 
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
+#[cfg(test)]
+pub(crate) use elsewhere::Elsewhere;
 pub(crate) use elsewhere::{PlacedFrame, find_elsewhere};
 pub use joint_focal_length::{JointFocalLength, JointVerdict};
 pub use localizer::Localizer;

@@ -97,7 +97,11 @@ impl MappingReport {
         let leaves_out = |w: &MappingWarning| {
             matches!(
                 w,
-                MappingWarning::Damaged { .. } | MappingWarning::StartHole { .. }
+                MappingWarning::Damaged { .. }
+                    | MappingWarning::StartHole { .. }
+                    | MappingWarning::StartPartial { .. }
+                    | MappingWarning::CloudsPartial { .. }
+                    | MappingWarning::ScanGap { .. }
             )
         };
         self.odometry.is_whole() && !self.warnings.iter().any(leaves_out)

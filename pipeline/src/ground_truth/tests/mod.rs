@@ -8,6 +8,7 @@ mod dense;
 mod imu;
 mod in_view;
 mod learned;
+mod other_place;
 mod recorded;
 mod standing;
 mod without_imu;

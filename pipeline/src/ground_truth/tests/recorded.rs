@@ -46,6 +46,8 @@ pub(super) struct Paint {
     seed: u64,
     /// Every second square metre has other paint: what another floor that is built alike looks like.
     is_other_floor: bool,
+    /// Turned by half a turn about the middle it is the same room.
+    is_same_turned: bool,
 }
 
 impl Paint {
@@ -53,13 +55,21 @@ impl Paint {
         Self {
             seed,
             is_other_floor: false,
+            is_same_turned: false,
+        }
+    }
+
+    pub fn same_turned(seed: u64) -> Self {
+        Self {
+            is_same_turned: true,
+            ..Self::of(seed)
         }
     }
 
     pub fn other_floor(seed: u64) -> Self {
         Self {
-            seed,
             is_other_floor: true,
+            ..Self::of(seed)
         }
     }
 
@@ -87,8 +97,20 @@ fn shade(room: Paint, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         }
     }
     let hit = origin + direction * nearest.0;
-    let axis = nearest.1 / 2;
-    let (face, u, v) = (nearest.1 as u64, hit[(axis + 1) % 3], hit[(axis + 2) % 3]);
+    let (axis, side) = (nearest.1 / 2, nearest.1 % 2);
+    let is_second_half = match axis {
+        2 => hit.x < 0.0,
+        _ => side == 1,
+    };
+    let (hit, side) = match room.is_same_turned && is_second_half {
+        true => (
+            Vector3::new(-hit.x, -hit.y, hit.z),
+            if axis == 2 { side } else { 0 },
+        ),
+        false => (hit, side),
+    };
+    let face = (2 * axis + side) as u64;
+    let (u, v) = (hit[(axis + 1) % 3], hit[(axis + 2) % 3]);
     paint(room.seed_at(face, u, v), face, u, v)
 }
 
@@ -117,7 +139,7 @@ pub(super) fn rig() -> Rig {
     rig
 }
 
-fn render(room: Paint, camera: &RigCamera, world_from_rig: &Se3) -> Image {
+pub(super) fn render(room: Paint, camera: &RigCamera, world_from_rig: &Se3) -> Image {
     let world_from_camera = *world_from_rig * camera.rig_from_camera;
     let (width, height) = (camera.camera.width, camera.camera.height);
     let pixels = (0..width * height)
@@ -152,18 +174,30 @@ pub(super) fn map(seed: u64) -> HdMap {
 
 /// The same of any features.
 pub(super) fn map_of(seed: u64, detector: &FeatureDetector) -> HdMap {
-    let rig = rig();
+    map_along(Paint::of(seed), &beside_the_walk(), detector)
+}
+
+/// Poses beside the walk.
+pub(super) fn beside_the_walk() -> Vec<Se3> {
     let beside = Se3::new(Default::default(), Vector3::new(0.1, -0.15, 0.08));
-    let keyframes: Vec<StampedPose> = (0..7)
-        .map(|k| StampedPose {
+    let poses = (0..7).map(|k| truth(0.9 + 0.27 * k as f64) * beside);
+    poses.collect()
+}
+
+/// A map of a room from images at these poses.
+pub(super) fn map_along(room: Paint, poses: &[Se3], detector: &FeatureDetector) -> HdMap {
+    let rig = rig();
+    let keyframes: Vec<StampedPose> = (0..)
+        .zip(poses)
+        .map(|(k, pose)| StampedPose {
             time: Timestamp::from_nanos(k),
-            world_from_rig: truth(0.9 + 0.27 * k as f64) * beside,
+            world_from_rig: *pose,
         })
         .collect();
     let (mut pixels, mut owners) = (Vec::new(), Vec::new());
     for (k, keyframe) in keyframes.iter().enumerate() {
         for (name, camera) in &rig.cameras {
-            pixels.push(render(Paint::of(seed), camera, &keyframe.world_from_rig));
+            pixels.push(render(room, camera, &keyframe.world_from_rig));
             owners.push((k, name.clone()));
         }
     }

@@ -71,6 +71,7 @@ impl HdMap {
         format: MapFormat,
         cameras: &[ColmapCamera],
     ) -> Result<Vec<ExportedFile>, Error> {
+        check_names(self.cameras())?;
         let model = Model {
             map: Some(self),
             names: self.cameras(),
@@ -114,6 +115,7 @@ pub fn export_image_poses(
     poses: &[ImagePose],
 ) -> Result<Option<Vec<ExportedFile>>, Error> {
     let names: Vec<String> = rig.cameras.keys().cloned().collect();
+    check_names(&names)?;
     let images = poses.iter().filter_map(|pose| {
         let name = names.get(pose.camera)?;
         Some(Image {
@@ -137,6 +139,18 @@ pub fn export_image_poses(
         MapFormat::Kapture => Some(kapture::sensors(&model)),
         MapFormat::Nerfstudio | MapFormat::Ply | MapFormat::Las | MapFormat::Laz => None,
     })
+}
+
+/// As images lie beside a model; refused are names of cameras that would lead elsewhere.
+fn check_names(cameras: &[String]) -> Result<(), Error> {
+    let leads_away = |name: &&String| {
+        let is_path = name.contains(['/', '\\']) || name.as_str() == "..";
+        name.is_empty() || is_path || name.contains(',') || name.chars().any(char::is_control)
+    };
+    match cameras.iter().find(leads_away) {
+        Some(name) => Err(Error::CameraName { name: name.clone() }),
+        None => Ok(()),
+    }
 }
 
 /// As images lie beside a model.

@@ -140,13 +140,18 @@ pub fn csv(frames: &[Frame]) -> String {
     }
     text.push_str(",reason\n");
     for frame in frames {
-        let mut fields = vec![frame.frame.clone(), u8::from(frame.localized).to_string()];
+        let quoted = |text: &str| format!("\"{}\"", text.replace('"', "'"));
+        let name = match frame.frame.contains([',', '"']) {
+            true => quoted(&frame.frame),
+            false => frame.frame.clone(),
+        };
+        let mut fields = vec![name, u8::from(frame.localized).to_string()];
         match &frame.pose {
             Some(pose) => fields.extend(pose.fields()),
             None => fields.resize(EMPTY_FIELDS, String::new()),
         }
         let reason = frame.reason.as_deref().unwrap_or_default();
-        fields.push(format!("\"{}\"", reason.replace('"', "'")));
+        fields.push(quoted(reason));
         text.push_str(&fields.join(","));
         text.push('\n');
     }

@@ -8,7 +8,6 @@ mod unfinished;
 
 use std::path::PathBuf;
 
-use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
 use lsfb_types::median;
@@ -91,6 +90,8 @@ const PAPER_INLIERS: usize = 30;
 struct Summary {
     images: usize,
     localized: usize,
+    /// Least probability of those.
+    min_probability: f64,
     /// By the paper's rule, whatever their probability.
     more_than_30_inliers: usize,
     /// Within 10 cm and 5° of the listed pose; `None` where no poses are listed.
@@ -153,6 +154,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         walk: &stages,
     };
     let found = input.localize(&localizer, &detector, kept, context)?;
+    anyhow::ensure!(
+        !found.frames.is_empty(),
+        "there is no image to be localized"
+    );
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
         // Of a folder of images it is the only one by now.
         let frame = if found.times.is_empty() { 0 } else { frame };
@@ -172,7 +177,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         unfinished.remove()?;
     }
     stages.remove()?;
-    let summary = summary(found.frames, &input, localizer.map());
+    let summary = summary(found.frames, &input, &localizer);
     if let Some(path) = &arguments.out_report {
         let times = &found.times;
         let page = page::page(&summary, times, &input, &localizer, &mut detector, context)?;
@@ -185,14 +190,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             found.damaged
         ));
     }
-    Ok(match (summary.map_failures.is_empty(), found.damaged) {
+    // Nothing found is no success, whatever the reason.
+    let is_sound = summary.map_failures.is_empty() && summary.localized > 0;
+    Ok(match (is_sound, found.damaged) {
         (false, _) => Outcome::JudgementFailed,
         (true, 0) => Outcome::Done,
         (true, _) => Outcome::DataLost,
     })
 }
 
-fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
+fn summary(frames: Vec<Frame>, input: &Input, localizer: &Localizer) -> Summary {
+    let map = localizer.map();
     let localized: Vec<&Frame> = frames.iter().filter(|f| f.localized).collect();
     let median_of = |value: fn(&Frame) -> Option<f64>| {
         median(localized.iter().filter_map(|f| value(f)).collect())
@@ -224,6 +232,7 @@ fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
         median_distance_m: median_of(|f| f.distance_m),
         median_angle_deg: median_of(|f| f.angle_deg),
         map_failures: map.failures().to_vec(),
+        min_probability: localizer.min_probability(),
         frames,
     }
 }
@@ -247,8 +256,8 @@ fn text(s: &Summary) -> String {
     }
     let share = 100.0 * s.localized as f64 / s.images.max(1) as f64;
     text += &format!(
-        "{} of {} localized ({share:.1} %), each right with a probability of 0.99; {} have more than 30 inliers",
-        s.localized, s.images, s.more_than_30_inliers
+        "{} of {} localized ({share:.1} %), each right with a probability of {}; {} have more than 30 inliers",
+        s.localized, s.images, s.min_probability, s.more_than_30_inliers
     );
     if !s.map_failures.is_empty() {
         text +=
