@@ -9,6 +9,7 @@ mod imu;
 mod in_view;
 mod learned;
 mod recorded;
+mod settling;
 mod standing;
 mod without_imu;
 
