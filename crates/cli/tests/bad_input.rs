@@ -279,11 +279,17 @@ fn a_walk_that_never_sees_the_map() {
         "map",
         "--out",
         "scan.tum",
+        "--out-report",
+        "walk.html",
     ];
     refused(
         folder.path(),
         &arguments,
         &["elsewhere.mcap", "is it the map of this place"],
+    );
+    assert!(
+        !folder.path().join("walk.html").exists(),
+        "no page of nothing"
     );
 }
 

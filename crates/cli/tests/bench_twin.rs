@@ -27,6 +27,9 @@ fn a_run_of_the_trial_is_judged_and_stands() {
         "{run}"
     );
     assert!(figure("localized_right") <= figure("localized"), "{run}");
+    // The sense of solving over all images.
+    let [alone_m, solved_m] = ["jitter_localized_m", "jitter_solved_m"].map(figure);
+    assert!(0.0 < solved_m && solved_m < alone_m, "{run}");
     for name in ["report.html", "twin.json"] {
         assert!(root.join("trial").join(name).exists(), "{name}");
     }

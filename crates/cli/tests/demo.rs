@@ -231,7 +231,7 @@ fn what_is_left_out_is_said(folder: &Path) {
     let middle_m = moved_m[moved_m.len() / 2];
     let settings = format!("max_disagreement_m = {middle_m}\n");
     std::fs::write(folder.join("strict.toml"), settings).expect("settings");
-    let strict = "groundtruth walk.mcap --map map --out strict.tum --config strict.toml";
+    let strict = "groundtruth walk.mcap --map map --out strict.tum --config strict.toml --out-report strict.html";
     let strict: Vec<&str> = strict.split(' ').collect();
     for run in [json(folder, &strict, 3), json(folder, &strict, 3)] {
         let findings = run["findings"].as_array().expect("findings");
@@ -242,6 +242,34 @@ fn what_is_left_out_is_said(folder: &Path) {
         assert_eq!(of("coverage").expect("coverage")["verdict"], "warn");
         assert!(run["poses"].as_u64() < run["frames"].as_u64(), "{run}");
     }
+    the_page_of_a_walk_shows_what_is_left_out(&folder.join("strict.html"));
+}
+
+/// One file that fetches nothing, with all that is said of a walk.
+fn the_page_of_a_walk_shows_what_is_left_out(path: &Path) {
+    let page = std::fs::read_to_string(path).expect("page");
+    for part in [
+        "From above",
+        "3D view",
+        "Localized, given and left out",
+        "Standard deviation of positions",
+        "Standard deviation of attitudes",
+        "Halves of the map against each other",
+        "Reprojection of map points",
+        "Reprojection of local points",
+        "Left out",
+        "map parts disagree",
+        "Cameras against the rig file",
+        "Errors of the IMU",
+        "verdict warn",
+    ] {
+        assert!(page.contains(part), "no {part:?}");
+    }
+    for part in ["http:", "https:", "src=", "@import", "fetch(", "url("] {
+        assert!(!page.contains(part), "{part}");
+    }
+    let path = path.with_extension("html.provenance.json");
+    assert!(path.exists(), "{}", path.display());
 }
 
 #[test]

@@ -129,6 +129,22 @@ impl GroundTruthWarning {
             .value(*secs, "s")
             .limit(Limit::AtMost(0.0))
             .remedy("walk where the scanner went, or make sure that there is no other place like it"),
+            Self::NotAtRest {
+                rounds,
+                changing,
+                moved_m,
+                turned_deg,
+            } => warn(
+                "not-at-rest",
+                "poses",
+                format!(
+                    "after {rounds} rounds another one would take in or leave out {changing} observations; the last moved poses by up to \
+                     {:.1} mm and {turned_deg:.2}°",
+                    1e3 * moved_m
+                ),
+            )
+            .value(1e3 * *moved_m, "mm")
+            .remedy("check the calibration of the device, and whether the map is of this place as it is now"),
             Self::FailedMap { what } => warn(
                 "failed-map",
                 "map",
@@ -144,7 +160,8 @@ fn norm(values: &[f64; 3]) -> f64 {
 }
 
 impl LeftOutReason {
-    fn code(self) -> &'static str {
+    /// Its name, as that of the finding about it.
+    pub fn code(self) -> &'static str {
         match self {
             Self::NotRecognised => "not-recognised",
             Self::Uncertain => "uncertain",

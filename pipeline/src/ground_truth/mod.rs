@@ -36,6 +36,7 @@ mod recorded_walk;
 mod refusal;
 mod report;
 mod run;
+mod settling;
 mod start;
 mod trusted;
 mod uncertainty;
@@ -46,8 +47,8 @@ mod without_map;
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::{Matrix6, Trajectory, Vector3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_geometry::{Matrix6, Se3, Trajectory, Vector3};
+use lsfb_types::{Progress, ProgressFn, Timestamp};
 
 pub use config::{GroundTruthConfig, InertialPriors};
 pub use dense::DenseState;
@@ -68,9 +69,11 @@ pub use without_map::{
 
 use crate::Error;
 use crate::features::Features;
+use crate::worst_sigma::worst_sigmas;
 use estimate::Estimate;
 use local_points::{LocalTracks, MatchableImage};
 use optimization::{Optimized, choose_observations, optimize, within_gate};
+use settling::{ROUNDS, settle};
 use start::Start;
 use walk::Walk;
 
@@ -89,8 +92,28 @@ pub struct GroundTruth {
     pub states: Vec<DenseState>,
     /// Gravity in the map's world, m/s².
     pub gravity_m_s2: Vector3<f64>,
+    /// Instants that visual localization placed by themselves, in order.
+    pub localizations: Vec<LocalizedInstant>,
     /// How it came about, and how far to trust it.
     pub report: GroundTruthReport,
+}
+
+impl GroundTruth {
+    /// Standard deviations of each pose's attitude, radians, and position, metres, in the direction in which each is known worst.
+    pub fn worst_sigmas(&self) -> Vec<[f64; 2]> {
+        self.covariances.iter().map(worst_sigmas).collect()
+    }
+}
+
+/// An instant that visual localization placed in the map by its images alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocalizedInstant {
+    /// When its images were taken.
+    pub time: Timestamp,
+    /// Where they were found, in the map's world.
+    pub world_from_rig: Se3,
+    /// Whether that agrees with the IMU and the other instants; what does not was dropped.
+    pub is_accepted: bool,
 }
 
 /// A solved walk.
@@ -98,13 +121,11 @@ struct Solved {
     last: Optimized,
     /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.
     config: GroundTruthConfig,
+    /// What still changed at its end.
+    unrest: Option<GroundTruthWarning>,
     guided_matching: usize,
 }
 
-/// Rounds at most in which observations come and go after the search for map points.
-const ROUNDS: usize = 6;
-/// They have settled once fewer than one in so many comes or goes.
-const SETTLED: usize = 1000;
 /// Features are followed again where a camera reads its rows out so much faster or slower than believed, seconds: their rays were
 /// turned wrongly.
 const READOUT_CHANGE_S: f64 = 1e-3;
@@ -146,25 +167,12 @@ fn solve_walk(
         tracks = follow(walk, &first, features, config, progress)?;
     }
     let points = tracks.locate(walk, &first, features, config);
-    let mut last = optimize(walk, &first, &points, None, config, progress)?;
-    let mut used = config.clone();
-    for _ in 0..ROUNDS {
-        let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
-        let allowing = used.inertial.allowing(&last.imu_errors);
-        let is_settled = allowing.is_none() && changed * SETTLED < last.report.residuals;
-        if is_settled && changed == 0 {
-            break;
-        }
-        used.inertial = allowing.unwrap_or(used.inertial);
-        let (estimate, points) = (&last.estimate, &last.points);
-        last = optimize(walk, estimate, points, None, &used, progress)?;
-        if is_settled {
-            break;
-        }
-    }
+    let last = optimize(walk, &first, &points, None, config, progress)?;
+    let settled = settle(walk, last, config, ROUNDS, progress)?;
     Ok(Solved {
-        last,
-        config: used,
+        last: settled.last,
+        config: settled.config,
+        unrest: settled.unrest,
         guided_matching,
     })
 }

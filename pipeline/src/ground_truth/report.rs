@@ -238,6 +238,17 @@ pub enum GroundTruthWarning {
         /// How long, seconds.
         secs: f64,
     },
+    /// Observations still came or went when the rounds of choosing them and solving were done.
+    NotAtRest {
+        /// How many rounds.
+        rounds: u64,
+        /// Observations that another round would take in or leave out.
+        changing: u64,
+        /// Farthest that the last round moved a pose, metres.
+        moved_m: f64,
+        /// Farthest that it turned one, degrees.
+        turned_deg: f64,
+    },
     /// The map failed when it was made, and was used all the same.
     FailedMap {
         /// What was found.

@@ -223,6 +223,7 @@ fn solve_in_map(
     let in_rig = rig.imu_noise().is_some();
     let without_imu = (!walk.has_imu()).then_some(GroundTruthWarning::WithoutImu { in_rig });
     report.warnings.extend(without_imu);
+    report.warnings.extend(solved.unrest.clone());
     report.warnings.extend(not_checked(&walk, &in_view));
     let failures = map.failures().iter();
     report
@@ -234,6 +235,7 @@ fn solve_in_map(
         disagreements_m: trusted.disagreements_m,
         states: dense_states(&walk, &solved.last, &trusted.frames)?,
         gravity_m_s2: solved.last.gravity_m_s2,
+        localizations: start.localizations(&walk),
         report,
     })
 }

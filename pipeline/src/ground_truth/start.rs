@@ -4,11 +4,11 @@ use lsfb_geometry::{Matrix6, Se3, StampedPose, Trajectory, Vector3, Vector6, so3
 use lsfb_solver::{Kernel, PosePrior, Problem};
 use lsfb_types::ProgressFn;
 
-use super::GroundTruthConfig;
 use super::consensus::consistent_sets;
 use super::drift::drifts;
 use super::inertial::{StateBlocks, add_inertial_residuals};
 use super::walk::{FrameState, LocalizedPose, Walk};
+use super::{GroundTruthConfig, LocalizedInstant};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
 use crate::solve::solve_until_converged;
@@ -32,6 +32,21 @@ pub(super) struct Start {
     pub accepted_count: usize,
     /// Localized poses of the best other explanation of the walk that contradict this one.
     pub rival_count: usize,
+}
+
+impl Start {
+    /// The localized poses, and whether each agrees.
+    pub fn localizations(&self, walk: &Walk) -> Vec<LocalizedInstant> {
+        let frames = walk.frames.iter().zip(&self.accepted);
+        let localized = frames.filter_map(|(frame, accepted)| {
+            Some(LocalizedInstant {
+                time: frame.time,
+                world_from_rig: frame.localized?.world_from_rig,
+                is_accepted: *accepted,
+            })
+        });
+        localized.collect()
+    }
 }
 
 /// Solves for the states from each of the largest consistent sets, and keeps the explanation that costs least. `None` where no

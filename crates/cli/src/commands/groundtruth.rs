@@ -14,6 +14,7 @@ use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::covariance_file;
+use super::groundtruth_page::WalkPage;
 use super::models::ModelFolder;
 use super::motion_file;
 use super::surroundings::Surroundings;
@@ -44,6 +45,9 @@ use crate::standing;
 /// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
 /// camera's, or axes are wrong, and the walk is bent.
 ///
+/// Observations are chosen and everything is solved in turns until neither changes the other, six times at most; where they still do, not-at-rest
+/// says how many observations, and how far the last turn moved poses.
+///
 /// A walk that was recorded without an IMU is placed by its images alone, and the finding without-imu says so: lengths and the vertical are the
 /// map's then, nothing checks them, and there are poses only where enough of the map is in view.
 ///
@@ -56,6 +60,7 @@ use crate::standing;
 ///
 /// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
+///   lsfb groundtruth walk.mcap --map map --out walk.tum --out-report walk.html
 ///   lsfb groundtruth walk2.mcap --map map --radio radio.csv --out walk2.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -69,6 +74,10 @@ pub struct Arguments {
     /// The trajectory to write, in the map's world frame.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
+    /// Also write a page: the trajectory in the map, its standard deviations over time, what was left out and why. Of a walk that is refused
+    /// there is none.
+    #[arg(long, value_name = "HTML")]
+    out_report: Option<PathBuf>,
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -87,6 +96,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recording: &arguments.recording,
         map: &arguments.map,
         out: &arguments.out,
+        out_report: arguments.out_report.as_deref(),
         config: &config,
         radio: arguments.radio.as_deref(),
         models: &arguments.models,
@@ -165,6 +175,8 @@ pub struct WalkJob<'a> {
     pub recording: &'a Path,
     pub map: &'a Path,
     pub out: &'a Path,
+    /// A page about it.
+    pub out_report: Option<&'a Path>,
     pub config: &'a GroundTruthConfig,
     /// Readings of others at their places.
     pub radio: Option<&'a Path>,
@@ -199,14 +211,18 @@ impl WalkJob<'_> {
         if let Some(table) = self.radio {
             provenance.add_input(table)?;
         }
-        if let Some(said) = context.standing(&[self.out], &provenance) {
+        let outputs: Vec<&Path> = [Some(self.out), self.out_report]
+            .into_iter()
+            .flatten()
+            .collect();
+        if let Some(said) = context.standing(&outputs, &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
                 said,
                 provenance,
             });
         }
-        claim(self.out)?;
+        outputs.iter().try_for_each(|result| claim(result))?;
         claim(&covariances)?;
         claim(&cross_check)?;
         claim(&states)?;
@@ -219,7 +235,7 @@ impl WalkJob<'_> {
                 stages.remove()?;
                 Err(refused)
             })?;
-        standing::forget(&[self.out])?;
+        standing::forget(&outputs)?;
         write_tum(self.out, &found.trajectory)?;
         let poses = found.trajectory.poses().iter().zip(&found.covariances);
         files::write(&covariances, covariance_file::text(NOT_IN_IT, poses))?;
@@ -229,10 +245,21 @@ impl WalkJob<'_> {
         provenance.write(self.out)?;
         let beside = [covariances, cross_check, states, motion];
         let said = Said {
-            report: found.report,
+            report: found.report.clone(),
             surroundings,
         };
-        standing::finish(&[self.out], &beside, &provenance, &said)?;
+        if let Some(path) = self.out_report {
+            let page = WalkPage {
+                name: &self.recording.display().to_string(),
+                map: &hd_map,
+                found: &found,
+                findings: said.findings(),
+                provenance: &provenance,
+            };
+            super::write(path, page.to_html())?;
+            provenance.write(path)?;
+        }
+        standing::finish(&outputs, &beside, &provenance, &said)?;
         stages.remove()?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,

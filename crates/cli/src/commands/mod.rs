@@ -25,6 +25,7 @@ pub mod doctor;
 pub mod doctor_host;
 pub mod eval;
 pub mod groundtruth;
+pub mod groundtruth_page;
 pub mod import;
 mod inertial;
 pub mod localize;

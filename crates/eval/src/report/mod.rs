@@ -22,11 +22,15 @@ mod inset;
 mod page;
 mod scene;
 mod sections;
+mod table;
+mod timeline;
 mod top_view;
 
 pub(crate) use equal_scale::equal_scale;
 pub use figure::Figure;
 pub use inset::Inset;
+pub use table::Table;
+pub use timeline::{Marks, Stretch, Timeline, Upward};
 
 /// All that the page shows.
 #[derive(Clone, Debug, Default)]
@@ -45,8 +49,12 @@ pub struct Report {
     pub view: View,
     /// Several estimates in one table, best first.
     pub comparison: Vec<Comparison>,
+    /// What went on over time, one plot each.
+    pub timelines: Vec<Timeline>,
     /// Distributions, one plot each: reprojection errors of map and glasses.
     pub histograms: Vec<Distribution>,
+    /// What is said in cells.
+    pub tables: Vec<Table>,
     /// Values that went from step to step, one plot each.
     pub courses: Vec<Course>,
     /// How long each stage took, in the order they ran.

@@ -5,7 +5,7 @@ use lsfb_types::Limit;
 use maud::{Markup, html};
 
 use super::figure::Figure;
-use super::{Report, scene, sections};
+use super::{Report, scene, sections, table, timeline};
 use crate::compare::Comparison;
 use crate::relation::DeltaUnit;
 
@@ -16,10 +16,12 @@ pub(super) fn render(report: &Report) -> String {
         (comparison(&report.comparison))
         div.pair {
             (sections::errors(report))
+            @for timeline in &report.timelines { (timeline::section(timeline)) }
             (sections::distributions(report))
             (sections::courses(report))
             (sections::stages(report))
         }
+        @for table in &report.tables { (table::section(table)) }
     };
     let settings = report.provenance.iter();
     let settings = settings.map(|p| (p.name.clone(), p.value.clone()));

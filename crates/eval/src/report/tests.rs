@@ -139,6 +139,8 @@ fn made_up() -> Report {
             track("glasses", &glasses, &glasses_truth),
         ],
         insets: Vec::new(),
+        timelines: Vec::new(),
+        tables: Vec::new(),
         view: View::Above,
         comparison: compare(&[
             crate::Contender {

@@ -10,6 +10,7 @@ mod in_view;
 mod learned;
 mod other_place;
 mod recorded;
+mod settling;
 mod standing;
 mod without_imu;
 

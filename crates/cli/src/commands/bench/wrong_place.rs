@@ -153,6 +153,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
         recording: &walk.join("walk.mcap"),
         map: &place.join("map"),
         out: &estimate,
+        out_report: None,
         config: &GroundTruthConfig::default(),
         radio: None,
         models: &ModelFolder::new(None),

@@ -141,6 +141,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recording: &files.walk,
         map: &files.map,
         out: &files.walk_trajectory,
+        out_report: None,
         config: &GroundTruthConfig::default(),
         radio: None,
         models: &ModelFolder::new(None),

@@ -1,11 +1,11 @@
 //! The demo's page: its figures, what the stages warned of, both trajectories beside the truth.
 
 use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
-use lsfb_pipeline::ground_truth::ReprojectionErrors;
 use lsfb_sim::SimConfig;
 use lsfb_types::{Finding, Limit};
 
 use super::super::groundtruth::WrittenTrajectory;
+use super::super::groundtruth_page::spread;
 use super::super::map::WrittenMap;
 use super::{Errors, Summary};
 
@@ -124,15 +124,4 @@ fn provenance(
     Ok(lines
         .map(|(name, value)| report::Provenance { name, value })
         .collect())
-}
-
-/// A value for each error, spread evenly over its bin.
-fn spread(errors: &ReprojectionErrors) -> Vec<f64> {
-    let bins = errors.histogram.iter().enumerate();
-    bins.flat_map(|(bin, &count)| {
-        (0..count).map(move |k| {
-            (bin as f64 + (k as f64 + 0.5) / count as f64) * ReprojectionErrors::BIN_PX
-        })
-    })
-    .collect()
 }

@@ -38,6 +38,10 @@ pub struct Run {
     pub in_map_rms_m: Option<f64>,
     /// Motion of the trajectory above 5 Hz that is not in the truth, rms.
     pub jitter_m: Option<f64>,
+    /// Second difference of the errors of positions from image to image, rms: of images that were localized rightly one by one, and of the trajectory
+    /// at the same images.
+    pub jitter_localized_m: Option<f64>,
+    pub jitter_solved_m: Option<f64>,
     /// Poses of the trajectory, and those of them that are more than 10 cm off where the map places them.
     pub exported: u64,
     pub exported_wrong: u64,
@@ -80,6 +84,8 @@ impl Run {
             ate_max_m: None,
             in_map_rms_m: None,
             jitter_m: None,
+            jitter_localized_m: None,
+            jitter_solved_m: None,
             exported: 0,
             exported_wrong: 0,
             dropped_s: 0.0,

@@ -134,6 +134,7 @@ impl Session<'_> {
             recording: &recording,
             map: &mapped.map,
             out: &estimate,
+            out_report: None,
             config: &GroundTruthConfig::default(),
             radio: None,
             models: &ModelFolder::new(None),
@@ -158,15 +159,17 @@ impl Session<'_> {
             _ => 0.0,
         };
         let map = crate::commands::open_map(&mapped.map)?;
-        let Localized { claimed, right } = judging::localize(
-            &self.context.open(&recording)?,
-            &map,
-            &Trajectory::new(true_poses),
-            &scan.truth_from_map,
-            self.context,
-        )?;
+        let (walk, true_path) = (self.context.open(&recording)?, Trajectory::new(true_poses));
+        let from_map = &scan.truth_from_map;
+        let Localized { claimed, right } =
+            judging::localize(&walk, &map, &true_path, from_map, self.context)?;
         (run.localized, run.localized_right) = (claimed, right);
-        match refusal(found, TRUTH)? {
+        let found = refusal(found, TRUTH)?;
+        let solved = found.as_ref().ok().map(|found| &found.trajectory);
+        let jitter = judging::jitter(&walk, &map, &true_path, from_map, solved, self.context)?;
+        run.jitter_localized_m = jitter.localized_m;
+        run.jitter_solved_m = jitter.solved_m;
+        match found {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
             Ok(found) => {
                 let report = &found.said.report;

@@ -1,0 +1,97 @@
+//! After the search for map points, observations come and go until none does any more.
+
+use lsfb_geometry::so3;
+use lsfb_types::ProgressFn;
+
+use super::GroundTruthConfig;
+use super::estimate::Estimate;
+use super::optimization::{Optimized, choose_observations, optimize};
+use super::report::GroundTruthWarning;
+use super::walk::Walk;
+use crate::Error;
+
+/// Rounds at most.
+pub(super) const ROUNDS: usize = 6;
+/// Observations have settled once fewer than one in so many comes or goes.
+const SETTLED: usize = 1000;
+
+/// A walk after its last round.
+pub(super) struct Settled {
+    pub last: Optimized,
+    /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.
+    pub config: GroundTruthConfig,
+    /// What still changed when the rounds were done; `None` where observations have settled.
+    pub unrest: Option<GroundTruthWarning>,
+}
+
+/// Chooses observations and solves in turns, `rounds` times at most.
+pub(super) fn settle(
+    walk: &mut Walk,
+    mut last: Optimized,
+    config: &GroundTruthConfig,
+    rounds: usize,
+    progress: ProgressFn<'_>,
+) -> Result<Settled, Error> {
+    let mut used = config.clone();
+    let mut moved = [0.0; 2];
+    for _ in 0..rounds {
+        let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
+        let allowing = used.inertial.allowing(&last.imu_errors);
+        let is_settled = allowing.is_none() && is_few(changed, &last);
+        if is_settled && changed == 0 {
+            return Ok(Settled::at_rest(last, used));
+        }
+        used.inertial = allowing.unwrap_or(used.inertial);
+        let (estimate, points) = (&last.estimate, &last.points);
+        let next = optimize(walk, estimate, points, None, &used, progress)?;
+        moved = farthest(&last.estimate, &next.estimate);
+        last = next;
+        if is_settled {
+            return Ok(Settled::at_rest(last, used));
+        }
+    }
+    // Whether the last round was enough shows in what another one would change; the result stays that of the solve.
+    let (frames, mut points) = (walk.frames.clone(), last.points.clone());
+    let changing = choose_observations(walk, &last.estimate, &mut points, config);
+    walk.frames = frames;
+    let is_settled = used.inertial.allowing(&last.imu_errors).is_none() && is_few(changing, &last);
+    let [moved_m, turned_rad] = moved;
+    let unrest = (!is_settled).then(|| GroundTruthWarning::NotAtRest {
+        rounds: rounds as u64,
+        changing: changing as u64,
+        moved_m,
+        turned_deg: turned_rad.to_degrees(),
+    });
+    Ok(Settled {
+        last,
+        config: used,
+        unrest,
+    })
+}
+
+impl Settled {
+    fn at_rest(last: Optimized, config: GroundTruthConfig) -> Self {
+        Self {
+            last,
+            config,
+            unrest: None,
+        }
+    }
+}
+
+/// Whether so few observations came or went that no pose feels it.
+fn is_few(changed: usize, solved: &Optimized) -> bool {
+    changed * SETTLED < solved.report.residuals
+}
+
+/// Farthest that a pose moved, metres, and turned, radians.
+fn farthest(before: &Estimate, after: &Estimate) -> [f64; 2] {
+    let poses = before.states.iter().zip(&after.states);
+    poses.fold([0.0, 0.0], |[moved_m, turned_rad], (before, after)| {
+        let step = before.nav.world_from_rig.inverse() * after.nav.world_from_rig;
+        [
+            step.translation.norm().max(moved_m),
+            so3::log(&step.rotation).norm().max(turned_rad),
+        ]
+    })
+}
