@@ -213,7 +213,7 @@ fn poses_beside_images_change_nothing(folder: &Path, office: &str) {
         "{alone}"
     );
     assert_eq!(posed["images"], alone["images"]);
-    let poses = |found: &serde_json::Value| -> Vec<serde_json::Value> {
+    let poses = |found: &Value| -> Vec<Value> {
         let frames = found["frames"].as_array().expect("frames").iter();
         frames.map(|frame| frame["pose"].clone()).collect()
     };
