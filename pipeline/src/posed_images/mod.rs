@@ -2,6 +2,7 @@
 //! and without poses, which are queries alone.
 
 mod colmap;
+mod image_layout;
 mod kapture;
 mod layouts;
 mod lens;
@@ -20,7 +21,8 @@ use sha2::{Digest, Sha256};
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
 
-pub use unposed::{ImageLayout, UnposedImage, UnposedImages};
+pub use image_layout::ImageLayout;
+pub use unposed::{UnposedImage, UnposedImages};
 
 /// By how much a matrix of a list may miss being a rotation: some print three digits.
 const ROTATION_ROUNDING: f64 = 1e-2;
