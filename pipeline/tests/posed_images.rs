@@ -11,7 +11,7 @@ use lsfb_pipeline::hd_map::{
     ColmapCamera, HdMap, HdMapConfig, KeyframeImage, MapContent, MapFormat, MapPoint,
     PointObservation, PoseRefinement, PosedMapConfig, build_map_from_posed_images,
 };
-use lsfb_pipeline::posed_images::PosedImages;
+use lsfb_pipeline::posed_images::{ImageLayout, PosedImages, UnposedImages};
 use lsfb_types::{Timestamp, no_progress};
 
 const PRINCIPAL_PX: [f64; 2] = [318.25, 241.5];
@@ -156,6 +156,109 @@ fn exported_maps_are_read_back_as_posed_images() {
             assert!(off < 1e-9, "{format:?}: {off}");
         }
     }
+}
+
+/// What was read with poses is read without them: the same images of the same cameras.
+#[test]
+fn images_are_read_where_no_pose_is_known() {
+    for (format, layout) in [
+        (MapFormat::Nerfstudio, ImageLayout::Nerfstudio),
+        (MapFormat::Kapture, ImageLayout::Kapture),
+        (MapFormat::ColmapText, ImageLayout::Colmap),
+        (MapFormat::ColmapBinary, ImageLayout::Colmap),
+    ] {
+        let scratch = tempfile::tempdir().expect("scratch folder");
+        let folder = scratch.path();
+        export(format, folder);
+        let posed = PosedImages::read(folder).expect("its own files");
+        if format == MapFormat::Kapture {
+            fs::remove_file(folder.join("sensors/trajectories.txt")).expect("poses");
+        }
+        if format == MapFormat::Nerfstudio {
+            let path = folder.join("transforms.json");
+            let text = fs::read_to_string(&path).expect("text");
+            fs::write(&path, text.replace("transform_matrix", "no_matrix")).expect("written");
+        }
+        assert_eq!(ImageLayout::found_in(folder).expect("read"), [layout]);
+        let found = UnposedImages::read(folder, layout).expect("images");
+        assert_eq!(found.rig, posed.rig, "{format:?}");
+        let expected: Vec<_> = posed.images.iter().map(|i| (&i.path, &i.camera)).collect();
+        let images: Vec<_> = found.images.iter().map(|i| (&i.path, &i.camera)).collect();
+        assert_eq!(images, expected, "{format:?}");
+        if layout != ImageLayout::Colmap {
+            let said = message(folder);
+            assert!(said.contains("none of its 6 images"), "{said}");
+        }
+    }
+}
+
+/// COLMAP lists what it could place; of one camera the others are images as well, of several nobody knows which took them.
+#[test]
+fn images_that_colmap_could_not_place_are_images_of_its_one_camera() {
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let folder = scratch.path();
+    let write = |name: &str, text: &str| {
+        let path = folder.join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("folder");
+        fs::write(path, text).expect("written");
+    };
+    let camera = |number: u32| format!("{number} PINHOLE 640 480 500 500 320 240\n");
+    for name in ["images/a.png", "images/day/b.jpg", "images/notes.txt"] {
+        write(name, "");
+    }
+    let read = || UnposedImages::read(folder, ImageLayout::Colmap);
+    let names = |found: &UnposedImages| -> Vec<String> {
+        let below = |path: &Path| path.strip_prefix(folder).map(|p| p.display().to_string());
+        let names = found.images.iter();
+        names.map(|i| below(&i.path).expect("below")).collect()
+    };
+    write("sparse/0/cameras.txt", &camera(1));
+    let found = read().expect("one camera, no list");
+    assert_eq!(names(&found), ["images/a.png", "images/day/b.jpg"]);
+    write("sparse/0/images.txt", "1 1 0 0 0 0 0 0 1 day/b.jpg\n\n");
+    let found = read().expect("one camera, half a list");
+    assert_eq!(names(&found), ["images/day/b.jpg", "images/a.png"]);
+    assert!(found.images.iter().all(|image| image.camera == "cam1"));
+    write("sparse/0/cameras.txt", &(camera(1) + &camera(2)));
+    let found = read().expect("two cameras, half a list");
+    assert_eq!(names(&found), ["images/day/b.jpg"]);
+    assert!(
+        found.notes[0].contains("1 images that"),
+        "{:?}",
+        found.notes
+    );
+    fs::remove_file(folder.join("sparse/0/images.txt")).expect("removed");
+    let said = read().expect_err("nothing says which").to_string();
+    assert!(said.contains("several cameras"), "{said}");
+}
+
+#[test]
+fn images_beside_intrinsics_are_those_of_one_place() {
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let folder = scratch.path();
+    let found_in = || ImageLayout::found_in(folder).expect("read");
+    assert!(found_in().is_empty());
+    fs::write(folder.join("K.txt"), "60 0 31.5 0 60 23.5 0 0 1").expect("written");
+    assert_eq!(found_in(), [ImageLayout::Pinhole]);
+    fs::write(folder.join("transforms.json"), "{}").expect("written");
+    assert_eq!(found_in(), [ImageLayout::Nerfstudio, ImageLayout::Pinhole]);
+    let read = || UnposedImages::read(folder, ImageLayout::Pinhole);
+    let said = read().expect_err("no image").to_string();
+    assert!(said.contains("no .png"), "{said}");
+    fs::create_dir(folder.join("images")).expect("folder");
+    for name in ["images/a.png", "b.png"] {
+        fs::write(folder.join(name), "").expect("written");
+    }
+    let said = read().expect_err("in two places").to_string();
+    assert!(said.contains("and in images/"), "{said}");
+    // Of 7-Scenes the intrinsics are a part, and its depths are no images.
+    for name in ["frame-000000.color.png", "frame-000000.depth.png"] {
+        fs::write(folder.join(name), "").expect("written");
+    }
+    assert_eq!(
+        found_in(),
+        [ImageLayout::Nerfstudio, ImageLayout::SevenScenes]
+    );
 }
 
 /// Values worked out by hand from nerfstudio's documentation: the camera of this frame looks along the world's x, its image upright.

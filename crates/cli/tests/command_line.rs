@@ -525,4 +525,29 @@ fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
     assert_eq!(found("walk.tum"), found("imported.tum"));
     // A line per instant: what was matched, whether or not it was enough here.
     assert!(found("walk.tum").lines().count() > 10);
+
+    // The same folder as images, each for itself: its cameras are those of the rig by their names.
+    run("localize map mav0 --rig rig.toml --every 5 --out images.csv");
+    let lines = found("images.csv");
+    let of = |camera: &str| lines.lines().filter(|l| l.starts_with(camera)).count();
+    for camera in rig.cameras.keys() {
+        assert!(of(&format!("{camera}/data/")) > 1, "{camera}: {lines}");
+    }
+    // What is not said, or twice, is asked for.
+    let refused = |words: &str, expected: &str| {
+        let output = lsfb(path, &words.split(' ').collect::<Vec<_>>());
+        assert_eq!(output.status.code(), Some(1), "{words}");
+        assert!(said(&output).contains(expected), "{}", said(&output));
+    };
+    refused("localize map mav0", "sensor.yaml");
+    write(
+        "cameras.txt",
+        "1 PINHOLE 640 480 500 500 320 240\n".to_owned(),
+    );
+    refused(
+        "localize map mav0 --rig rig.toml",
+        "COLMAP (cameras.txt or cameras.bin) or EuRoC (cam0/data.csv)",
+    );
+    refused("localize map map", "transforms.json");
+    refused("localize map mav0/cam0/data", "--rig, or K.txt");
 }

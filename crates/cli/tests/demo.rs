@@ -100,6 +100,10 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     assert_eq!(hashes("many"), before, "recorded once");
     let expected = results(&root.join("many"));
 
+    // Its figures are no proof, and its page says so.
+    let page = std::fs::read_to_string(root.join("many/report.html")).expect("report");
+    assert!(page.contains("The demo is easy") && page.contains("lsfb bench twin"));
+
     // What is finished stays as it is.
     let report = || {
         let report = std::fs::metadata(root.join("many/report.html")).expect("report");

@@ -192,6 +192,32 @@ fn an_office_is_recognised_by_every_fifth_image() {
     let share = found["right"].as_f64().expect("count") / found["images"].as_f64().expect("count");
     assert!(share >= 0.9, "{found}");
     a_folder_of_images_is_localized(folder.path(), Path::new(office));
+    poses_beside_images_change_nothing(folder.path(), office);
+}
+
+/// The same folder, its poses not looked at: the same images are localized, and none is called right.
+fn poses_beside_images_change_nothing(folder: &Path, office: &str) {
+    let posed = [
+        "localize",
+        "--posed-images",
+        office,
+        "--every",
+        "60",
+        "--map",
+        "office-map",
+    ];
+    let alone = ["localize", "office-map", office, "--every", "60"];
+    let [posed, alone] = [&posed[..], &alone].map(|arguments| json(folder, arguments, 0));
+    assert!(
+        posed["right"].is_u64() && alone["right"].is_null(),
+        "{alone}"
+    );
+    assert_eq!(posed["images"], alone["images"]);
+    let poses = |found: &Value| -> Vec<Value> {
+        let frames = found["frames"].as_array().expect("frames").iter();
+        frames.map(|frame| frame["pose"].clone()).collect()
+    };
+    assert_eq!(poses(&posed), poses(&alone));
 }
 
 /// Images without poses: a line for each, a drawing, and intrinsics of another size refused.

@@ -46,5 +46,5 @@ pub use screen::{Screen, ScreenConfig, SecureScreen};
 pub use shared::{Command, Request};
 pub use state::{
     BatteryState, ControlPoint, CoverageState, Level, Phase, PoseState, ScreenState, StorageState,
-    StreamState, SyncState, Tracking,
+    StreamState, SyncState, Tracking, UnseenKind, UnseenMotion,
 };

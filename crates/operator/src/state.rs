@@ -64,6 +64,8 @@ pub struct ScreenState {
     pub tracking: Tracking,
     /// Why the live map is not to be believed, and what to do; empty where it is.
     pub tracking_problem: String,
+    /// The motion that the scans of the moment do not see; `None` while they see all.
+    pub unseen: Option<UnseenMotion>,
     /// Length of the path so far, metres.
     pub path_m: f64,
     /// How well the place was seen.
@@ -154,6 +156,25 @@ pub enum Tracking {
     Lost,
     /// No scan has been registered for a while: the map shows the past.
     Frozen,
+}
+
+/// A motion that scans do not see, because everything around looks the same from wherever it leads.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct UnseenMotion {
+    /// Along the direction, or about it.
+    pub kind: UnseenKind,
+    /// Unit vector in the live map; its opposite is the same motion.
+    pub direction_in_map: [f64; 3],
+}
+
+/// A motion along a direction, or about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UnseenKind {
+    /// Along it: a corridor without doors, an open field.
+    Shift,
+    /// About it: a round room.
+    Turn,
 }
 
 /// How well the place was seen.

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use lsfb_geometry::{Se3, Vector3};
 use lsfb_operator::{
     Command, Error, Foxglove, LiveMap, LiveMessage, MapConfig, Phase, Preview, Request, Screen,
-    ScreenConfig, ScreenState, SecureScreen,
+    ScreenConfig, ScreenState, SecureScreen, UnseenKind, UnseenMotion,
 };
 use lsfb_recording::message;
 use lsfb_types::{Image, ImuSample, Timestamp};
@@ -254,6 +254,16 @@ fn states_and_the_map_arrive_and_keys_are_answered() {
         "{:?}",
         published.elapsed()
     );
+
+    // In the words that the page reads.
+    state.unseen = Some(UnseenMotion {
+        kind: UnseenKind::Shift,
+        direction_in_map: [0.6, 0.8, 0.0],
+    });
+    screen.publish(&state);
+    let shown = json_until(&mut socket, |v| !v["unseen"].is_null());
+    let expected = json!({ "kind": "shift", "direction_in_map": [0.6, 0.8, 0.0] });
+    assert_eq!(shown["unseen"], expected);
 
     let mut map = LiveMap::new(MapConfig::default(), Vec::new());
     let wall: Vec<_> = (0..20)

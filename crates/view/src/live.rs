@@ -25,6 +25,11 @@ const MAP_SCANS: u64 = 600;
 /// Every n-th registered scan goes into the map.
 const MAP_STRIDE: u64 = 5;
 const RIG_ENTITY: &str = "world/live/rig";
+const UNSEEN_ENTITY: &str = "world/live/unseen";
+/// How far the line along what is not seen reaches to each side, metres.
+const UNSEEN_M: f64 = 6.0;
+/// Orange, as on the operator's page.
+const UNSEEN_COLOUR: [u8; 3] = [255, 122, 0];
 
 /// A connection to a viewer. Nothing here ever waits for it: a thread of its own sends, and what it is too slow for is passed
 /// over.
@@ -44,6 +49,7 @@ enum Item {
         time: Timestamp,
         world_from_rig: Se3,
         points_in_rig: Vec<Vector3<f64>>,
+        unseen_in_world: Option<Vector3<f64>>,
     },
 }
 
@@ -101,12 +107,19 @@ impl LiveView {
         self.put(|| Item::Imu(sample.clone()));
     }
 
-    /// Shows where the rig is, and what the LiDAR saw from there.
-    pub fn step(&self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
+    /// Shows where the rig is, what the LiDAR saw from there, and the direction along or about which it sees no motion, where there is one.
+    pub fn step(
+        &self,
+        time: Timestamp,
+        world_from_rig: &Se3,
+        points_in_rig: &[Vector3<f64>],
+        unseen_in_world: Option<Vector3<f64>>,
+    ) {
         self.put(|| Item::Step {
             time,
             world_from_rig: *world_from_rig,
             points_in_rig: points_in_rig.to_vec(),
+            unseen_in_world,
         });
     }
 
@@ -137,6 +150,7 @@ struct Sender {
     samples: u64,
     scans: u64,
     path: Vec<[f32; 3]>,
+    shows_unseen: bool,
 }
 
 impl Sender {
@@ -146,6 +160,7 @@ impl Sender {
             samples: 0,
             scans: 0,
             path: Vec::new(),
+            shows_unseen: false,
         };
         sender.log_static("world", &ViewCoordinates::RIGHT_HAND_Z_UP());
         sender
@@ -190,7 +205,11 @@ impl Sender {
                 time,
                 world_from_rig,
                 points_in_rig,
-            } => self.step(time, &world_from_rig, &points_in_rig),
+                unseen_in_world,
+            } => {
+                self.step(time, &world_from_rig, &points_in_rig);
+                self.unseen(&world_from_rig.translation, unseen_in_world);
+            }
         }
     }
 
@@ -215,6 +234,26 @@ impl Sender {
             self.log("world/live/path", &line);
         }
         self.scans += 1;
+    }
+
+    /// A line through the rig; without one that which was there goes.
+    fn unseen(&mut self, at: &Vector3<f64>, direction: Option<Vector3<f64>>) {
+        if direction.is_none() && !self.shows_unseen {
+            return;
+        }
+        self.shows_unseen = direction.is_some();
+        let line = direction.map(|d| {
+            let end = |side: f64| {
+                let end = at + d * (side * UNSEEN_M);
+                [end.x as f32, end.y as f32, end.z as f32]
+            };
+            [end(-1.0), end(1.0)]
+        });
+        let lines = LineStrips3D::new(line)
+            .with_radii([Radius::new_ui_points(2.0 * LINE_RADIUS)])
+            .with_colors([UNSEEN_COLOUR])
+            .with_labels(line.map(|_| "not seen by the LiDAR"));
+        self.log(UNSEEN_ENTITY, &lines);
     }
 
     fn set_time(&self, time: Timestamp) {
@@ -245,7 +284,13 @@ mod tests {
         let time = Timestamp::from_nanos(1_772_359_200_000_000_000);
         for n in 0..2_000 {
             let points = vec![Vector3::new(1.0, 2.0, f64::from(n)); 100];
-            view.step(time.plus_nanos(i64::from(n)), &Se3::identity(), &points);
+            let unseen = (n % 2 == 0).then(Vector3::x);
+            view.step(
+                time.plus_nanos(i64::from(n)),
+                &Se3::identity(),
+                &points,
+                unseen,
+            );
         }
         assert!(
             began.elapsed() < Duration::from_secs(1),

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use lsfb_geometry::Se3;
 use lsfb_geometry::camera::ColmapModel;
 
-use super::PosedImages;
 use super::lens::camera;
 use super::listed::{Listed, pose};
+use super::unposed::{UnposedImages, image_files_below};
 use crate::Error;
 
 /// Where a project has its model.
@@ -17,41 +17,39 @@ const MODELS: [&str; 3] = [".", "sparse/0", "sparse"];
 const POINT_BYTES: usize = 24;
 /// Longest name of an image that is believed.
 const MAX_NAME_BYTES: usize = 4_096;
+const KINDS: [&str; 2] = ["txt", "bin"];
 /// The folder of the model of a project; `None` where there is none.
 pub(super) fn model_in(folder: &Path) -> Option<PathBuf> {
     let mut models = MODELS.iter().map(|model| folder.join(model));
-    models.find(|model| ["txt", "bin"].iter().any(|kind| has(model, kind)))
+    models.find(|model| KINDS.iter().any(|kind| is_model(model, kind)))
 }
 
-fn has(model: &Path, kind: &str) -> bool {
-    ["cameras", "images"]
-        .iter()
-        .all(|name| model.join(format!("{name}.{kind}")).is_file())
+/// The same where images need not be listed.
+pub(super) fn cameras_in(folder: &Path) -> Option<PathBuf> {
+    let mut models = MODELS.iter().map(|model| folder.join(model));
+    let has_cameras = |model: &PathBuf| KINDS.iter().any(|kind| has(model, "cameras", kind));
+    model_in(folder).or_else(|| models.find(has_cameras))
 }
 
-pub(super) fn read(folder: &Path, model: &Path) -> Result<PosedImages, Error> {
-    let is_text = has(model, "txt");
+fn has(model: &Path, name: &str, kind: &str) -> bool {
+    model.join(format!("{name}.{kind}")).is_file()
+}
+
+fn is_model(model: &Path, kind: &str) -> bool {
+    has(model, "cameras", kind) && has(model, "images", kind)
+}
+
+/// The images that a model lists.
+pub(super) fn read(folder: &Path, model: &Path) -> Result<Listed, Error> {
+    let is_text = is_model(model, "txt");
     let kind = if is_text { "txt" } else { "bin" };
-    let path = |name: &str| model.join(format!("{name}.{kind}"));
-    let [cameras, images] = ["cameras", "images"].map(path);
+    let images = model.join(format!("images.{kind}"));
     let mut listed = Listed::new(folder, &images);
-    let bytes = |path: &Path| std::fs::read(path).map_err(Error::io(path));
-    let of_cameras = |problem: String| Error::PosedLayout {
-        path: cameras.clone(),
-        reason: problem,
-    };
+    add_cameras(model, is_text, &mut listed)?;
+    let bytes = std::fs::read(&images).map_err(Error::io(&images))?;
     let found = match is_text {
-        true => text::cameras(&bytes(&cameras)?),
-        false => binary::cameras(&bytes(&cameras)?),
-    };
-    for found in found.map_err(of_cameras)? {
-        let lens = camera(&found.model, found.size, &found.parameters);
-        let lens = lens.map_err(|why| of_cameras(format!("camera {}: {why}", found.number)))?;
-        listed.add_camera(&name_of(found.number), lens)?;
-    }
-    let found = match is_text {
-        true => text::images(&bytes(&images)?),
-        false => binary::images(&bytes(&images)?),
+        true => text::images(&bytes),
+        false => binary::images(&bytes),
     };
     let beside = images_of(folder, model);
     for image in found.map_err(|problem| listed.refuse(problem))? {
@@ -62,9 +60,72 @@ pub(super) fn read(folder: &Path, model: &Path) -> Result<PosedImages, Error> {
         }
         let camera_from_world = image.camera_from_world;
         let pose = camera_from_world.ok_or_else(|| fail("its pose is no rigid transform"))?;
-        listed.add_image(beside.join(&image.name), &camera, pose.inverse());
+        listed.add_image(beside.join(&image.name), &camera, Some(pose.inverse()));
     }
-    listed.finish()
+    Ok(listed)
+}
+
+/// All images of a project: COLMAP lists those alone that it could place.
+pub(super) fn read_all(folder: &Path, model: &Path) -> Result<UnposedImages, Error> {
+    let is_listed = KINDS.iter().any(|kind| is_model(model, kind));
+    let mut listed = match is_listed {
+        true => read(folder, model)?,
+        false => {
+            let mut listed = Listed::new(folder, model);
+            add_cameras(model, has(model, "cameras", "txt"), &mut listed)?;
+            listed
+        }
+    };
+    let beside = images_of(folder, model);
+    // A project without a folder of images may have others than those in it: depths, masks.
+    let is_searched = beside != folder || !is_listed;
+    let mut others = match is_searched {
+        true => image_files_below(&beside)?,
+        false => Vec::new(),
+    };
+    let known = listed.files();
+    others.retain(|path| !known.contains(path));
+    match listed.only_camera() {
+        Some(camera) => {
+            for path in others {
+                listed.add_image(path, &camera, None);
+            }
+            listed.unposed()
+        }
+        None if is_listed => {
+            let mut found = listed.unposed()?;
+            if !others.is_empty() {
+                found.notes.push(format!(
+                    "{} images that the model does not list are left out: it does not say which of its cameras took them",
+                    others.len()
+                ));
+            }
+            Ok(found)
+        }
+        None => Err(listed.refuse(
+            "it has several cameras, and no list of images that says which took which: name the folder of one camera's images, with --rig",
+        )),
+    }
+}
+
+fn add_cameras(model: &Path, is_text: bool, listed: &mut Listed) -> Result<(), Error> {
+    let kind = if is_text { "txt" } else { "bin" };
+    let path = model.join(format!("cameras.{kind}"));
+    let of_cameras = |problem: String| Error::PosedLayout {
+        path: path.clone(),
+        reason: problem,
+    };
+    let bytes = std::fs::read(&path).map_err(Error::io(&path))?;
+    let found = match is_text {
+        true => text::cameras(&bytes),
+        false => binary::cameras(&bytes),
+    };
+    for found in found.map_err(of_cameras)? {
+        let lens = camera(&found.model, found.size, &found.parameters);
+        let lens = lens.map_err(|why| of_cameras(format!("camera {}: {why}", found.number)))?;
+        listed.add_camera(&name_of(found.number), lens)?;
+    }
+    Ok(())
 }
 
 /// The folder that the names of images are in.

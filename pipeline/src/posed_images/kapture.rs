@@ -6,7 +6,6 @@ use std::path::Path;
 
 use lsfb_geometry::Se3;
 
-use super::PosedImages;
 use super::lens::camera;
 use super::listed::{Listed, pose};
 use crate::Error;
@@ -15,7 +14,7 @@ pub(super) const SENSORS: &str = "sensors/sensors.txt";
 /// Rigs on rigs on rigs: more of them is a circle.
 const DEEPEST_RIG: usize = 8;
 
-pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
+pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
     let sensors = folder.join("sensors");
     let records = sensors.join("records_camera.txt");
     let mut listed = Listed::new(folder, &records);
@@ -51,15 +50,11 @@ pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
         if !listed.has_camera(name) {
             return Err(row.refuse(&records, &format!("camera {name} is not in sensors.txt")));
         }
-        match camera_from_world(time, name, &poses, &in_rig) {
-            Some(pose) => {
-                let file = sensors.join("records_data").join(file);
-                listed.add_image(file, name, pose.inverse());
-            }
-            None => listed.add_unposed(),
-        }
+        let pose = camera_from_world(time, name, &poses, &in_rig);
+        let file = sensors.join("records_data").join(file);
+        listed.add_image(file, name, pose.map(|pose| pose.inverse()));
     }
-    listed.finish()
+    Ok(listed)
 }
 
 /// By the stamp as it is written, and the device.
@@ -98,6 +93,10 @@ fn in_rigs(path: &Path) -> Result<InRig, Error> {
 
 fn trajectories(path: &Path) -> Result<Poses, Error> {
     let mut found = Poses::new();
+    // A kapture of images without poses lacks the file.
+    if !path.is_file() {
+        return Ok(found);
+    }
     for row in Row::of(path)? {
         let (Some(time), Some(device)) = (row.word(0), row.word(1)) else {
             return Err(row.refuse(path, "expected timestamp, device_id and a pose"));

@@ -23,32 +23,40 @@ const STRECHA_FILE: &str = ".camera";
 
 /// The images of a folder in one of these layouts; `None` of any other.
 pub(super) fn read(folder: &Path) -> Result<Option<PosedImages>, Error> {
-    let here = entries(folder)?;
-    let named = |path: &Path| {
-        path.file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned()
-    };
-    let colour: Vec<PathBuf> = here
-        .iter()
-        .filter(|p| named(p).contains(COLOUR))
-        .cloned()
-        .collect();
-    if let Some(first) = colour.first() {
-        return seven_scenes(folder, first, &colour).map(Some);
+    if !colour_images(folder)?.is_empty() {
+        return seven_scenes(folder).map(Some);
     }
-    let cameras = here
-        .iter()
-        .find(|p| p.is_dir() && named(p).starts_with(STRECHA_CAMERAS));
-    match (cameras, folder.join(STRECHA_IMAGES).is_dir()) {
-        (Some(cameras), true) => strecha(folder, cameras).map(Some),
-        _ => Ok(None),
+    match strecha_cameras(folder)? {
+        Some(cameras) => strecha(folder, &cameras).map(Some),
+        None => Ok(None),
     }
 }
 
+/// The colour images of a sequence of 7-Scenes.
+pub(super) fn colour_images(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut found = entries(folder)?;
+    found.retain(|path| named(path).contains(COLOUR));
+    Ok(found)
+}
+
+/// The folder of the cameras of a scene of Strecha's; `None` where there is none.
+pub(super) fn strecha_cameras(folder: &Path) -> Result<Option<PathBuf>, Error> {
+    if !folder.join(STRECHA_IMAGES).is_dir() {
+        return Ok(None);
+    }
+    let is_of_cameras = |p: &PathBuf| p.is_dir() && named(p).starts_with(STRECHA_CAMERAS);
+    Ok(entries(folder)?.into_iter().find(is_of_cameras))
+}
+
+fn named(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
 /// What is in a folder, by name.
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
         found.push(entry.map_err(Error::io(folder))?.path());
@@ -80,11 +88,11 @@ fn posed(path: &Path, file: &Path, rows: &[f64; 16]) -> Result<PosedImage, Error
     })
 }
 
-/// `frame-NNNNNN.color.png` (or .jpg) with `frame-NNNNNN.pose.txt`. The camera is that of `K.txt` where there is one, else the one
-/// that fits the colour images of the data set.
-fn seven_scenes(folder: &Path, first: &Path, colour: &[PathBuf]) -> Result<PosedImages, Error> {
+/// `frame-NNNNNN.color.png` (or .jpg) with `frame-NNNNNN.pose.txt`.
+fn seven_scenes(folder: &Path) -> Result<PosedImages, Error> {
+    let colour = colour_images(folder)?;
     let images = colour.iter().map(|path| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = named(path);
         let stem = name.split(COLOUR).next().unwrap_or_default();
         let file = folder.join(format!("{stem}{POSE}"));
         posed(
@@ -94,22 +102,33 @@ fn seven_scenes(folder: &Path, first: &Path, colour: &[PathBuf]) -> Result<Posed
         )
     });
     let images = images.collect::<Result<Vec<_>, Error>>()?;
-    let size = image::read(first)?;
-    let intrinsics = folder.join(INTRINSICS);
-    let camera = match intrinsics.exists() {
-        true => read_pinhole(&intrinsics, size.width, size.height)?,
-        false => {
-            // Of images of another size the focal length changes with the width.
-            let focal_px = SEVEN_SCENES_FOCAL_PX * f64::from(size.width) / 640.0;
-            let principal_px = [size.width, size.height].map(|side| (f64::from(side) - 1.0) / 2.0);
-            Camera::pinhole(size.width, size.height, [focal_px; 2], principal_px)
-        }
-    };
+    let first = images.first().map(|image| image.path.as_path());
     Ok(PosedImages {
-        rig: rig_with(folder, camera),
+        rig: rig_with(
+            folder,
+            seven_scenes_camera(folder, first.unwrap_or(folder))?,
+        ),
         images,
         notes: Vec::new(),
     })
+}
+
+/// The camera of `K.txt` where there is one, else the one that fits the colour images of the data set.
+pub(super) fn seven_scenes_camera(folder: &Path, image: &Path) -> Result<Camera, Error> {
+    let size = image::read(image)?;
+    let intrinsics = folder.join(INTRINSICS);
+    if intrinsics.exists() {
+        return read_pinhole(&intrinsics, size.width, size.height);
+    }
+    // Of images of another size the focal length changes with the width.
+    let focal_px = SEVEN_SCENES_FOCAL_PX * f64::from(size.width) / 640.0;
+    let principal_px = [size.width, size.height].map(|side| (f64::from(side) - 1.0) / 2.0);
+    Ok(Camera::pinhole(
+        size.width,
+        size.height,
+        [focal_px; 2],
+        principal_px,
+    ))
 }
 
 /// `images/NAME` with `NAME.camera`: `K`, three numbers that are not used, rows of the rotation and position of `world_from_camera`,
@@ -118,11 +137,7 @@ fn strecha(folder: &Path, cameras: &Path) -> Result<PosedImages, Error> {
     let mut images = Vec::new();
     let mut camera = None;
     for path in entries(&folder.join(STRECHA_IMAGES))? {
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
+        let name = named(&path);
         let file = cameras.join(format!("{name}{STRECHA_FILE}"));
         if !file.exists() {
             continue;

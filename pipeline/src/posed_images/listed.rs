@@ -1,9 +1,11 @@
 //! Cameras and images of a list, put together: whatever program wrote it.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 
+use super::unposed::{UnposedImage, UnposedImages};
 use super::{PosedImage, PosedImages, fitting};
 use crate::Error;
 
@@ -12,9 +14,15 @@ pub(super) struct Listed {
     /// The list, for errors.
     path: PathBuf,
     rig: Rig,
-    images: Vec<PosedImage>,
-    /// Images without a pose.
-    unposed: usize,
+    images: Vec<ListedImage>,
+}
+
+/// An image of a list.
+struct ListedImage {
+    path: PathBuf,
+    camera: String,
+    /// `None` where it is not known.
+    world_from_camera: Option<Se3>,
 }
 
 impl Listed {
@@ -23,7 +31,6 @@ impl Listed {
             path: path.to_owned(),
             rig: Rig::empty(&folder.file_name().unwrap_or_default().to_string_lossy()),
             images: Vec::new(),
-            unposed: 0,
         }
     }
 
@@ -49,21 +56,32 @@ impl Listed {
         Ok(())
     }
 
-    pub(super) fn add_image(&mut self, path: PathBuf, camera: &str, world_from_camera: Se3) {
-        self.images.push(PosedImage {
+    /// Takes an image, with its pose where that is known.
+    pub(super) fn add_image(
+        &mut self,
+        path: PathBuf,
+        camera: &str,
+        world_from_camera: Option<Se3>,
+    ) {
+        self.images.push(ListedImage {
             path,
             camera: camera.to_owned(),
-            world_from_rig: world_from_camera,
+            world_from_camera,
         });
     }
 
-    /// Counts an image whose pose is not known.
-    pub(super) fn add_unposed(&mut self) {
-        self.unposed += 1;
+    /// The files of the images.
+    pub(super) fn files(&self) -> BTreeSet<PathBuf> {
+        self.images.iter().map(|image| image.path.clone()).collect()
     }
 
-    pub(super) fn image_count(&self) -> usize {
-        self.images.len() + self.unposed
+    /// The one camera; `None` where there are several.
+    pub(super) fn only_camera(&self) -> Option<String> {
+        let mut names = self.rig.cameras.keys();
+        names
+            .next()
+            .filter(|_| self.rig.cameras.len() == 1)
+            .cloned()
     }
 
     /// What is wrong with the list.
@@ -74,30 +92,58 @@ impl Listed {
         }
     }
 
-    /// The images; a list without one is an error.
-    pub(super) fn finish(mut self) -> Result<PosedImages, Error> {
-        if self.images.is_empty() {
-            return Err(self.refuse(format!(
-                "none of its {} images has a pose",
-                self.image_count()
-            )));
+    /// The images that have a pose; a list without one is an error.
+    pub(super) fn posed(mut self) -> Result<PosedImages, Error> {
+        let count = self.images.len();
+        let posed = std::mem::take(&mut self.images).into_iter();
+        let posed = posed.filter_map(|image| {
+            Some(PosedImage {
+                path: image.path,
+                camera: image.camera,
+                world_from_rig: image.world_from_camera?,
+            })
+        });
+        let images: Vec<PosedImage> = posed.collect();
+        if images.is_empty() {
+            return Err(self.refuse(format!("none of its {count} images has a pose")));
         }
-        let mut notes = Vec::new();
-        if self.unposed > 0 {
-            notes.push(format!(
-                "{} of {} images have no pose and are left out",
-                self.unposed,
-                self.image_count()
-            ));
-        }
-        let images = &self.images;
-        let is_used = |name: &String| images.iter().any(|image| image.camera == *name);
-        self.rig.cameras.retain(|name, _| is_used(name));
+        let unposed = count - images.len();
+        let notes = match unposed {
+            0 => Vec::new(),
+            _ => vec![format!(
+                "{unposed} of {count} images have no pose and are left out"
+            )],
+        };
+        self.keep_cameras(|name| images.iter().any(|image| image.camera == *name));
         Ok(PosedImages {
             rig: self.rig,
-            images: self.images,
+            images,
             notes,
         })
+    }
+
+    /// All images, whatever is known of their poses; a list without one is an error.
+    pub(super) fn unposed(mut self) -> Result<UnposedImages, Error> {
+        if self.images.is_empty() {
+            return Err(self.refuse("it lists no image"));
+        }
+        let images = std::mem::take(&mut self.images).into_iter();
+        let images: Vec<UnposedImage> = images
+            .map(|image| UnposedImage {
+                path: image.path,
+                camera: image.camera,
+            })
+            .collect();
+        self.keep_cameras(|name| images.iter().any(|image| image.camera == *name));
+        Ok(UnposedImages {
+            rig: self.rig,
+            images,
+            notes: Vec::new(),
+        })
+    }
+
+    fn keep_cameras(&mut self, is_used: impl Fn(&String) -> bool) {
+        self.rig.cameras.retain(|name, _| is_used(name));
     }
 }
 

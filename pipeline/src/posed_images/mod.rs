@@ -1,11 +1,14 @@
-//! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer.
+//! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer; and of images with cameras
+//! and without poses, which are queries alone.
 
 mod colmap;
+mod image_layout;
 mod kapture;
 mod layouts;
 mod lens;
 mod listed;
 mod nerfstudio;
+mod unposed;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,6 +20,9 @@ use sha2::{Digest, Sha256};
 
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
+
+pub use image_layout::ImageLayout;
+pub use unposed::{UnposedImage, UnposedImages};
 
 /// By how much a matrix of a list may miss being a rotation: some print three digits.
 const ROTATION_ROUNDING: f64 = 1e-2;
@@ -45,6 +51,8 @@ pub struct PosedImages {
 
 /// Intrinsics of the one camera: a 3 × 3 matrix.
 const INTRINSICS: &str = "K.txt";
+/// Folder of the images.
+const IMAGES: &str = "images";
 /// Name of the one camera.
 const CAMERA: &str = "cam0";
 /// One line per image: file name and the rows of `world_from_camera`, 4 × 4.
@@ -58,16 +66,16 @@ impl PosedImages {
         let poses_path = folder.join(POSES);
         if !poses_path.exists() {
             if folder.join(nerfstudio::FILE).is_file() {
-                return nerfstudio::read(folder);
+                return nerfstudio::read(folder)?.posed();
             }
             if folder.join(kapture::SENSORS).is_file() {
-                return kapture::read(folder);
+                return kapture::read(folder)?.posed();
             }
             if let Some(found) = layouts::read(folder)? {
                 return Ok(found);
             }
             if let Some(model) = colmap::model_in(folder) {
-                return colmap::read(folder, &model);
+                return colmap::read(folder, &model)?.posed();
             }
         }
         let text = fs::read_to_string(&poses_path).map_err(Error::io(&poses_path))?;
@@ -85,7 +93,7 @@ impl PosedImages {
             let (name, rest) = line.trim().split_once(' ').ok_or(refuse("no pose"))?;
             let rows: [f64; 16] = numbers(rest).ok_or(refuse("the pose needs 16 numbers"))?;
             images.push(PosedImage {
-                path: folder.join("images").join(name),
+                path: folder.join(IMAGES).join(name),
                 camera: CAMERA.to_owned(),
                 world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
             });
@@ -106,7 +114,7 @@ impl PosedImages {
 }
 
 /// The rig of a folder of images that one undistorted pinhole camera took: its `K.txt`, and the size of `image`.
-pub fn rig_of(folder: &Path, image: &Path) -> Result<Rig, Error> {
+fn rig_of(folder: &Path, image: &Path) -> Result<Rig, Error> {
     let size = image::read(image)?;
     let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
     Ok(rig_with(folder, camera))

@@ -7,9 +7,9 @@ use lsfb_geometry::{Camera, Matrix3, Se3, Vector3, so3};
 use lsfb_perception::image;
 use serde_json::{Map, Value};
 
+use super::ROTATION_ROUNDING;
 use super::lens::camera;
 use super::listed::Listed;
-use super::{PosedImages, ROTATION_ROUNDING};
 use crate::Error;
 
 pub(super) const FILE: &str = "transforms.json";
@@ -18,7 +18,7 @@ const EXTENSION: &str = "png";
 
 type Object = Map<String, Value>;
 
-pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
+pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
     let path = folder.join(FILE);
     let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
     let mut listed = Listed::new(folder, &path);
@@ -33,13 +33,15 @@ pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
         let name = frame.get("file_path").and_then(Value::as_str);
         let name = name.ok_or_else(|| fail(&listed, "it has no file_path"))?;
         let file = image_file(folder, name);
-        let pose = frame.get("transform_matrix").and_then(world_from_camera);
-        let pose = pose.ok_or_else(|| {
-            fail(
-                &listed,
-                "transform_matrix is no rigid transform of 4 rows of 4 numbers",
-            )
-        })?;
+        let pose = match frame.get("transform_matrix") {
+            None => None,
+            Some(matrix) => Some(world_from_camera(matrix).ok_or_else(|| {
+                fail(
+                    &listed,
+                    "transform_matrix is no rigid transform of 4 rows of 4 numbers",
+                )
+            })?),
+        };
         let found = camera_of(&[frame, &whole], &file)?.map_err(|why| fail(&listed, &why))?;
         let camera = match listed.same_camera(&found) {
             Some(name) => name,
@@ -54,7 +56,7 @@ pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
         };
         listed.add_image(file, &camera, pose);
     }
-    listed.finish()
+    Ok(listed)
 }
 
 fn image_file(folder: &Path, name: &str) -> PathBuf {

@@ -17,6 +17,7 @@ use lsfb_pipeline::odometry::StepOutcome;
 use super::host;
 use super::odometry::{LiveStep, OdometryThread};
 use super::running::{Running, host_now, position};
+use super::unseen::sentence_of;
 use super::{Event, Outputs, Run};
 use crate::context::sentence;
 
@@ -140,6 +141,7 @@ impl Controller {
         state.phase = Phase::Ready;
         state.tracking = Tracking::None;
         state.tracking_problem = String::new();
+        state.unseen = None;
         match outcome {
             Ok(report) => {
                 if let Some(running) = &mut self.running {
@@ -273,6 +275,7 @@ impl Controller {
         let lost = step.outcome == StepOutcome::Lost;
         if let Some(running) = &mut self.running {
             running.registered = Some(Instant::now());
+            running.unseen.take(step, Instant::now());
             if let (Some(poses), Some(pose)) = (&running.poses, &live.at_cloud) {
                 poses.put(pose, host_now());
             }
@@ -305,6 +308,11 @@ impl Controller {
                 state.streams = running.streams.states();
                 state.sync = running.streams.sync(now);
                 state.lost = running.streams.lost();
+                // Where the rig is lost, that is what matters.
+                state.unseen = running
+                    .unseen
+                    .shown(now)
+                    .filter(|_| state.tracking == Tracking::Good);
                 if let Some(problem) = running.frozen(now) {
                     state.tracking = Tracking::Frozen;
                     state.tracking_problem = problem;
@@ -313,7 +321,7 @@ impl Controller {
                         Tracking::Lost => {
                             "Map lost: slow down, or turn back to where it was good.".to_owned()
                         }
-                        _ => String::new(),
+                        _ => state.unseen.as_ref().map_or_else(String::new, sentence_of),
                     };
                 }
                 if !matches!(state.tracking, Tracking::None | Tracking::Good) {

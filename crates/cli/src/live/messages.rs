@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use lsfb_capture::Tapped;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_operator::LiveMessage;
-use lsfb_recording::TF;
+use lsfb_pipeline::odometry::{MotionKind, OdometryStep};
 use lsfb_recording::message::{self, Schema, StaticTransform};
+use lsfb_recording::{ODOM_FRAME, TF};
 use lsfb_types::Timestamp;
 
 use super::Outputs;
@@ -15,6 +16,11 @@ use super::odometry::LiveStep;
 /// Shortest time between two images of a camera that are shown, nanoseconds: what an eye needs, and a wireless link bears.
 const IMAGE_EVERY_NS: i64 = 190_000_000;
 const RIG: &str = "rig";
+/// Where Foxglove gets the direction along and about which a scan sees no motion; zero where it sees all.
+const UNSEEN: [(&str, MotionKind); 2] = [
+    ("/odometry/unseen_shift", MotionKind::Shift),
+    ("/odometry/unseen_turn", MotionKind::Turn),
+];
 
 fn about<'a>(topic: &'a str, schema: &Schema, arrival: Timestamp) -> LiveMessage<'a> {
     LiveMessage {
@@ -23,6 +29,12 @@ fn about<'a>(topic: &'a str, schema: &Schema, arrival: Timestamp) -> LiveMessage
         schema_text: schema.text,
         arrival,
     }
+}
+
+/// The direction of a kind of motion that a scan does not see, in the frame `odom`.
+fn unseen_of(step: &OdometryStep, kind: MotionKind) -> [f64; 3] {
+    let unseen = step.unseen.filter(|unseen| unseen.kind == kind);
+    unseen.map_or([0.0; 3], |unseen| unseen.direction_in_world.into())
 }
 
 impl Outputs {
@@ -130,12 +142,25 @@ impl Outputs {
         #[cfg(feature = "view")]
         if let Some(rerun) = &self.rerun {
             let step = &live.step;
-            rerun.step(step.time, &step.world_from_rig, &step.keypoints_in_rig);
+            let unseen = step.unseen.map(|unseen| unseen.direction_in_world);
+            rerun.step(
+                step.time,
+                &step.world_from_rig,
+                &step.keypoints_in_rig,
+                unseen,
+            );
         }
         if let (Some(foxglove), Some(pose)) = (&self.foxglove, &live.at_cloud) {
             foxglove.publish(&about(TF, &message::TF_MESSAGE, now), || {
                 message::encode_odometry(pose.time, &pose.world_from_rig)
             });
+        }
+        if let Some(foxglove) = &self.foxglove {
+            for (topic, kind) in UNSEEN {
+                foxglove.publish(&about(topic, &message::VECTOR, now), || {
+                    message::encode_vector(live.step.time, ODOM_FRAME, &unseen_of(&live.step, kind))
+                });
+            }
         }
     }
 }

@@ -9,6 +9,7 @@ mod messages;
 mod odometry;
 mod running;
 mod streams;
+mod unseen;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};

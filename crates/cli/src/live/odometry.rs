@@ -154,7 +154,7 @@ impl Drop for OdometryThread {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use lsfb_geometry::{Se3, Vector3};
 
     use super::*;
@@ -170,7 +170,7 @@ mod tests {
     }
 
     /// The step of a scan that ends then.
-    fn step(end_ms: i64, outcome: StepOutcome) -> OdometryStep {
+    pub fn step(end_ms: i64, outcome: StepOutcome) -> OdometryStep {
         let end = at(end_ms);
         OdometryStep {
             time: end.time,

@@ -16,6 +16,7 @@ use lsfb_types::Timestamp;
 use super::Run;
 use super::odometry::OdometryThread;
 use super::streams::Streams;
+use super::unseen::Unseen;
 
 /// A map to which no scan was added for this long shows the past.
 const FROZEN_AFTER: Duration = Duration::from_secs(1);
@@ -44,6 +45,8 @@ pub struct Running {
     previews_sent: BTreeMap<String, Instant>,
     /// When a scan was registered last.
     pub registered: Option<Instant>,
+    /// What scans do not see of the motion.
+    pub unseen: Unseen,
 }
 
 impl Running {
@@ -70,6 +73,7 @@ impl Running {
             cameras_sent: BTreeMap::new(),
             previews_sent: BTreeMap::new(),
             registered: None,
+            unseen: Unseen::default(),
         }
     }
 

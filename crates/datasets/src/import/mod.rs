@@ -8,6 +8,7 @@
 
 mod collected;
 mod format;
+mod image_files;
 mod inertial;
 mod inventory;
 mod overlap;
@@ -31,6 +32,7 @@ use serde::Serialize;
 
 use collected::Collected;
 pub use format::Format;
+pub use image_files::{EurocImages, ImageFile, euroc_images};
 use payload::{Payload, Pixels};
 pub use report::{ClockOf, ImportReport, LeftOut, RecordCount};
 pub use stamp::StampUnit;

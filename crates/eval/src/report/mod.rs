@@ -37,6 +37,8 @@ pub use timeline::{Marks, Stretch, Timeline, Upward};
 pub struct Report {
     /// What was run, in a few words.
     pub title: String,
+    /// What its figures do not say, a sentence or two before them; empty for none.
+    pub introduction: String,
     /// The figures of the run; their limits, and `findings`, make the verdict.
     pub figures: Vec<Figure>,
     /// Map points in the world, metres; drawn thinned out.

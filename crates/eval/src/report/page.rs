@@ -11,6 +11,7 @@ use crate::relation::DeltaUnit;
 
 pub(super) fn render(report: &Report) -> String {
     let body = html! {
+        @if !report.introduction.is_empty() { p { (report.introduction) } }
         div.overview { (sections::from_above(report)) (figures(&report.figures)) }
         (scene::in_space(report))
         (comparison(&report.comparison))

@@ -3,6 +3,8 @@
 const TILE = 256;
 const SHADES = ["#dcdcdc", "#000000", "#ff7a00"];
 const HERE = "#0046d6";
+// How far the line along an unseen motion reaches to each side.
+const UNSEEN_M = 6;
 const FOLLOW_M = 9;
 const MIN_M_PER_PX = 0.004;
 const MAX_M_PER_PX = 1;
@@ -16,6 +18,7 @@ export class MapView {
     this.pose = null;
     this.goBack = [];
     this.points = [];
+    this.unseen = null;
     this.forget();
     this.view = { x: 0, y: 0, mPerPx: 0.05 };
     this.pointers = new Map();
@@ -76,7 +79,8 @@ export class MapView {
     b.bottom = Math.min(b.bottom, my); b.top = Math.max(b.top, my + this.cellM);
   }
 
-  state(pose, goBack, points) {
+  state(pose, goBack, points, unseen) {
+    this.unseen = unseen;
     this.pose = pose;
     this.goBack = goBack;
     this.points = points;
@@ -172,6 +176,7 @@ export class MapView {
     for (const point of this.points) {
       if (point.position_m) this.drawPoint(c, px(point.position_m[0], point.position_m[1]), point.name);
     }
+    if (this.pose && this.unseen?.kind === "shift") this.drawUnseen(c, px, this.pose, this.unseen.direction_in_map);
     if (this.pose) this.drawRig(c, px(this.pose.x_m, this.pose.y_m), this.pose.yaw_rad);
     this.onScale?.(mPerPx);
   }
@@ -183,6 +188,18 @@ export class MapView {
     c.lineJoin = c.lineCap = "round";
     c.strokeStyle = "#fff"; c.lineWidth = 7; c.stroke();
     c.strokeStyle = HERE; c.lineWidth = 4; c.stroke();
+  }
+
+  /// The line along which scans do not see how far the rig has moved.
+  drawUnseen(c, px, pose, [dx, dy]) {
+    c.save();
+    c.beginPath();
+    for (const side of [-UNSEEN_M, UNSEEN_M]) c.lineTo(...px(pose.x_m + side * dx, pose.y_m + side * dy));
+    c.lineCap = "butt";
+    c.strokeStyle = "#fff"; c.lineWidth = 8; c.stroke();
+    c.setLineDash([14, 10]);
+    c.strokeStyle = SHADES[2]; c.lineWidth = 5; c.stroke();
+    c.restore();
   }
 
   drawSpot(c, [sx, sy], number) {

@@ -34,6 +34,9 @@ use crate::twin_truth::{judge_scan, judge_walk};
 /// and map. An interrupted demo continues after its last finished stage. Where `lsfb map` or `lsfb groundtruth` would say that the result must not
 /// be used, the exit code is 4.
 ///
+/// The demo is easy: the walk follows the scan through the same small place, and the rig is known exactly. How accurate the stages are is
+/// measured by the standard trial, `lsfb bench twin`.
+///
 /// Examples:
 ///   lsfb demo --out demo-out --seed 7
 ///   lsfb demo --config sim.toml --out demo-out

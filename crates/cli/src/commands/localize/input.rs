@@ -11,12 +11,13 @@ use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{
     Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording_in_stages,
 };
-use lsfb_pipeline::posed_images::{PosedImages, read_image, rig_of};
+use lsfb_pipeline::posed_images::{PosedImages, read_image};
 use lsfb_recording::{Provenance, Recording};
 use lsfb_types::{Progress, Timestamp};
 
 use super::Arguments;
 use super::drawing::Shown;
+use super::folder;
 use super::frames::{self, Frame};
 use super::unfinished::{Asked, Unfinished};
 use crate::context::Context;
@@ -39,6 +40,8 @@ pub enum Input {
     Images {
         rig: Box<Rig>,
         images: Vec<QueryImage>,
+        /// As their frames are called.
+        names: Vec<String>,
         listed: Option<Vec<Se3>>,
     },
     /// The instants of a walk.
@@ -70,28 +73,13 @@ impl Input {
             let rig = Box::new(walk.rig()?);
             return Ok(Self::Walk { walk, rig });
         }
-        let files = crate::files::image_files(path)?;
-        let Some(first) = files.first() else {
-            anyhow::bail!(
-                "{}: no .png, .jpg or .jpeg file here: name the folder that holds the images",
-                path.display()
-            );
-        };
-        let rig = match &arguments.rig {
-            Some(rig) => Rig::read(rig)?,
-            None => rig_of(path, first).context(
-                "a folder of images needs the intrinsics of its camera: --rig, or K.txt",
-            )?,
-        };
-        let camera = camera_of(&rig, arguments.camera.as_deref())?;
-        let chosen = files.into_iter().skip(arguments.every - 1);
-        let images = chosen.step_by(arguments.every).map(|path| QueryImage {
-            path,
-            camera: camera.clone(),
-        });
+        let found = folder::read(path, arguments, context)?;
+        let names = found.images.iter();
+        let names = names.map(|image| below(path, &image.path)).collect();
         Ok(Self::Images {
-            images: images.collect(),
-            rig: Box::new(rig),
+            rig: Box::new(found.rig),
+            images: found.images,
+            names,
             listed: None,
         })
     }
@@ -101,9 +89,11 @@ impl Input {
             path: image.path.clone(),
             camera: image.camera.clone(),
         });
+        let names = posed.images.iter();
         Self::Images {
             rig: Box::new(posed.rig.clone()),
             images: images.collect(),
+            names: names.map(|i| crate::files::name_of(&i.path)).collect(),
             listed: Some(posed.images.iter().map(|i| i.world_from_rig).collect()),
         }
     }
@@ -126,12 +116,14 @@ impl Input {
         times: &[Timestamp],
     ) -> anyhow::Result<Vec<anyhow::Result<Shown<'_>>>> {
         match self {
-            Self::Images { rig, images, .. } => {
+            Self::Images {
+                rig, images, names, ..
+            } => {
                 let shown = frames.iter().map(|frame| -> anyhow::Result<Shown<'_>> {
                     let image = images.get(*frame).context("there is no such frame")?;
                     let pixels = read_image(&image.path, &image.camera, rig)?;
                     Ok(Shown {
-                        name: crate::files::name_of(&image.path),
+                        name: names.get(*frame).cloned().unwrap_or_default(),
                         rig,
                         images: vec![(image.camera.clone(), pixels)],
                     })
@@ -172,6 +164,7 @@ impl Input {
             Self::Images {
                 rig,
                 images,
+                names,
                 listed,
             } => {
                 let count = images.len();
@@ -182,6 +175,7 @@ impl Input {
                 Ok(Self::Images {
                     rig,
                     images: vec![image],
+                    names: names.into_iter().skip(frame).take(1).collect(),
                     listed: listed.map(|poses| poses.into_iter().skip(frame).take(1).collect()),
                 })
             }
@@ -232,13 +226,18 @@ impl Input {
             Self::Images {
                 rig,
                 images,
+                names,
                 listed,
             } => {
                 let listed = listed.iter().flatten().map(Some);
                 let listed = listed.chain(std::iter::repeat(None));
-                let asked = images.iter().zip(listed);
+                let asked = images.iter().zip(names).zip(listed);
                 let asked: Vec<Asked> = asked
-                    .map(|(image, listed)| Asked { image, listed })
+                    .map(|((image, name), listed)| Asked {
+                        name,
+                        image,
+                        listed,
+                    })
                     .collect();
                 let localize = |done: usize, part: &[Asked]| -> anyhow::Result<Vec<Frame>> {
                     let show = |p: Progress| {
@@ -251,8 +250,7 @@ impl Input {
                     let queries: Vec<QueryImage> = part.iter().map(|a| a.image.clone()).collect();
                     let found = localize_images(localizer, rig, &queries, detector, &show)?;
                     let frames = part.iter().zip(&found).map(|(asked, found)| {
-                        let name = crate::files::name_of(&asked.image.path);
-                        Frame::new(name, found, asked.listed)
+                        Frame::new(asked.name.to_owned(), found, asked.listed)
                     });
                     Ok(frames.collect())
                 };
@@ -314,15 +312,8 @@ pub struct Found {
     pub damaged: u64,
 }
 
-fn camera_of(rig: &Rig, named: Option<&str>) -> anyhow::Result<String> {
-    let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
-    match (named, &cameras[..]) {
-        (None, [only]) => Ok((*only).to_owned()),
-        (Some(name), _) if cameras.contains(&name) => Ok(name.to_owned()),
-        _ => anyhow::bail!(
-            "rig {} has the cameras {}: name with --camera the one that took the images",
-            rig.name,
-            cameras.join(", ")
-        ),
-    }
+/// The path of a file below a folder.
+fn below(folder: &Path, file: &Path) -> String {
+    let below = file.strip_prefix(folder).unwrap_or(file);
+    below.display().to_string()
 }

@@ -1,6 +1,7 @@
 //! `lsfb localize`: images or a walk against a map.
 
 mod drawing;
+mod folder;
 mod frames;
 mod input;
 mod page;
@@ -23,8 +24,20 @@ use unfinished::Unfinished;
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
 /// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
-/// 0.99. A folder of images needs the intrinsics of its camera: K.txt in it, or --rig. With --out, the same command continues behind
-/// the images that it had localized when it was stopped: they are kept in OUT.unfinished until then.
+/// 0.99. With --out, the same command continues behind the images that it had localized when it was stopped: they are kept in
+/// OUT.unfinished until then.
+///
+/// Images may lie in a folder without any pose, with the intrinsics of their cameras as one of these has them:
+///   EuRoC, TUM-VI     mav0/cam0/data.csv and sensor.yaml; poses are those of the body
+///   kapture           sensors/sensors.txt and records_camera.txt
+///   COLMAP            cameras.txt or .bin in the folder, in sparse/0 or in sparse; images that it could not place, too, where it has one camera
+///   nerfstudio        transforms.json, transform_matrix left out
+///   7-Scenes          NAME.color.png, and K.txt where the camera is another
+///   Strecha           images/ and gt_dense_cameras
+///   one camera        images, or images/, beside K.txt: the nine numbers of an undistorted pinhole
+///   any               images alone, with --rig
+/// In a folder that has two of these, nobody knows which counts: name the images' own folder, with --rig. With --rig the intrinsics of the
+/// folder do not count.
 ///
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
@@ -34,20 +47,20 @@ use unfinished::Unfinished;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct Arguments {
-    /// The map, a folder, unless --map names it; then a walk (MCAP) or a folder of images.
+    /// The map, a folder, unless --map names it; then a walk (MCAP) or a folder of images without poses.
     #[arg(value_name = "PATH", num_args = 0..=2)]
     paths: Vec<PathBuf>,
     /// The map, a folder.
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/, a sequence of 7-Scenes, or a scene of Strecha's: reports how many
-    /// were placed correctly.
+    /// Folder of images with poses: K.txt, poses_T_world_cam_rowmajor4x4.txt and images/, a sequence of 7-Scenes, a scene of Strecha's,
+    /// nerfstudio's transforms.json, a kapture, or a project or model of COLMAP. Reports how many were placed correctly.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
     /// Use only every N-th image.
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
-    /// The rig of a folder of images, instead of its K.txt.
+    /// The rig of a folder of images, instead of the intrinsics in it.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Which camera of that rig took the images, where it has several.

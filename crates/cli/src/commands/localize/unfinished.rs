@@ -24,6 +24,8 @@ const IMAGE: &str = "[[image]]";
 /// An image that is to be localized, and the pose that a list gives it.
 #[derive(Clone, Copy)]
 pub struct Asked<'a> {
+    /// As its frame is called: no other image of the command is called so, where its folder lists it.
+    pub name: &'a str,
     pub image: &'a QueryImage,
     pub listed: Option<&'a Se3>,
 }
@@ -136,7 +138,7 @@ impl Unfinished {
     }
 
     fn known_of(&self, asked: &Asked) -> anyhow::Result<Option<Frame>> {
-        let Some(kept) = self.known.get(&crate::files::name_of(&asked.image.path)) else {
+        let Some(kept) = self.known.get(asked.name) else {
             return Ok(None);
         };
         let is_same = kept.camera == asked.image.camera
@@ -238,10 +240,16 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let out = folder.path().join("found.csv");
         let images = images(folder.path(), 3 * PART + 5);
+        let names: Vec<String> = images
+            .iter()
+            .map(|i| crate::files::name_of(&i.path))
+            .collect();
         let listed = Se3::exp(&Vector6::new(0.1, 0.2, 0.3, 1.0 / 3.0, 2.0, 1e-9));
         let asked: Vec<Asked> = images
             .iter()
-            .map(|image| Asked {
+            .zip(&names)
+            .map(|(image, name)| Asked {
+                name,
                 image,
                 listed: Some(&listed),
             })

@@ -5,9 +5,19 @@
 //! $$\lambda_i^2 + \lambda_j^2 - 2 b_{ij} \lambda_i \lambda_j = a_{ij}.$$
 //! Two combinations of them are homogeneous; a root of a cubic makes a combination of these two a pair of planes, in
 //! each of which a quadratic remains.
+//!
+//! How exact a pose is depends on the condition of those equations there: its error is that of rounding divided by the ratio of the smallest
+//! to the largest singular value of their Jacobian. Without noise, and with a triangle at least a tenth as high as long, poses whose ratio is
+//! 10⁻³ or more are all found to 10⁻¹⁰ of the distance and in radians. The ratio falls to zero where the camera is on the danger cylinder, that
+//! through the three points and at right angles to their plane: there two solutions meet, half of the digits are lost, and rarely the pose is
+//! not found. Points nearly on one line, or seen in nearly one direction, lose digits as well: with a height of 10⁻³ of the length 10⁻⁸
+//! remain, and from 10⁻⁵ on the pose may not be found.
 
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
 use nalgebra::{Rotation3, SymmetricEigen};
+
+#[cfg(test)]
+mod tests;
 
 /// Poses `camera_from_world` that see the points along the rays: at most four, best-conditioned plane first. None for
 /// points on one line, coinciding rays, or rays no triangle fits.
@@ -29,8 +39,10 @@ pub fn solve_p3p(rays: &[Vector3<f64>; 3], points_in_world: &[Vector3<f64>; 3]) 
     if b.iter().any(|cosine| !cosine.is_finite()) {
         return Vec::new();
     }
+    let chords = [rays[0] - rays[1], rays[0] - rays[2], rays[1] - rays[2]];
+    let chords = chords.map(|chord| chord.norm_squared());
     let mut poses = Vec::with_capacity(4);
-    for lambda in distances(&a, &b) {
+    for lambda in distances(&a, &b, &chords) {
         if let Some(pose) = pose_from_distances(rays, points_in_world, &(lambda * scale.sqrt())) {
             poses.push(pose);
         }
@@ -47,8 +59,8 @@ fn form(pair: usize, b: f64) -> Matrix3<f64> {
     }
 }
 
-/// All positive solutions of the three distance equations.
-fn distances(a: &[f64; 3], b: &[f64; 3]) -> Vec<Vector3<f64>> {
+/// All positive solutions of the three distance equations; of the rays the cosines and the squared distances from each other.
+fn distances(a: &[f64; 3], b: &[f64; 3], chords: &[f64; 3]) -> Vec<Vector3<f64>> {
     let forms = [form(0, b[0]), form(1, b[1]), form(2, b[2])];
     // Eliminate the largest side: the smallest could cancel.
     let pivot = (0..3).max_by(|&i, &j| a[i].total_cmp(&a[j])).unwrap_or(0);
@@ -66,7 +78,7 @@ fn distances(a: &[f64; 3], b: &[f64; 3]) -> Vec<Vector3<f64>> {
         };
         for normal in planes {
             for lambda in on_plane(&normal, &pencil.other, &forms[pivot], a[pivot]) {
-                let lambda = polish(lambda, &forms, a);
+                let lambda = polish(lambda, chords, a);
                 let known = |l: &Vector3<f64>| (l - lambda).norm() < 1e-9 * lambda.norm();
                 if lambda.min() > 0.0 && !found.iter().any(known) {
                     found.push(lambda);
@@ -233,19 +245,43 @@ fn on_plane(
     solutions
 }
 
-/// Newton steps on the three distance equations.
-fn polish(start: Vector3<f64>, forms: &[Matrix3<f64>; 3], a: &[f64; 3]) -> Vector3<f64> {
-    let residual = |l: &Vector3<f64>| Vector3::from_fn(|i, _| l.dot(&(forms[i] * l)) - a[i]);
+/// Newton steps on the three distance equations, written with the rays' distances from each other in place of their cosines,
+/// $(\lambda_i - \lambda_j)^2 + |y_i - y_j|^2 \lambda_i \lambda_j = a_{ij}$: of rays close together cosines keep few digits.
+fn polish(start: Vector3<f64>, chords: &[f64; 3], a: &[f64; 3]) -> Vector3<f64> {
+    let residual = |l: &Vector3<f64>| {
+        let of = |i: usize, j: usize, chord: f64| (l[i] - l[j]).powi(2) + chord * l[i] * l[j];
+        Vector3::new(
+            of(0, 1, chords[0]) - a[0],
+            of(0, 2, chords[1]) - a[1],
+            of(1, 2, chords[2]) - a[2],
+        )
+    };
     let mut lambda = start;
     let mut error = residual(&lambda);
     for _ in 0..5 {
-        let rows = [0, 1, 2].map(|i| (forms[i] * lambda * 2.0).transpose());
-        let Some(step) = Matrix3::from_rows(&rows).lu().solve(&error) else {
-            break;
+        let l = &lambda;
+        // Derivatives by the first and the second distance of a pair.
+        let of = |i: usize, j: usize, chord: f64| {
+            let apart = 2.0 * (l[i] - l[j]);
+            [apart + chord * l[j], chord * l[i] - apart]
         };
+        let [p, q] = of(0, 1, chords[0]);
+        let [r, s] = of(0, 2, chords[1]);
+        let [t, u] = of(1, 2, chords[2]);
+        let determinant = -(p * s * t + q * r * u);
+        if determinant == 0.0 {
+            break;
+        }
+        // Cramer's rule: a third of the entries are zero.
+        let [e1, e2, e3] = error.into();
+        let step = Vector3::new(
+            q * s * e3 - s * t * e1 - q * u * e2,
+            p * u * e2 - p * s * e3 - r * u * e1,
+            r * t * e1 - p * t * e2 - q * r * e3,
+        ) / determinant;
         let next = lambda - step;
         let next_error = residual(&next);
-        if !(next_error.norm() < error.norm()) {
+        if !(next_error.norm_squared() < error.norm_squared()) {
             break;
         }
         (lambda, error) = (next, next_error);
@@ -279,96 +315,4 @@ fn triangle_frame(p: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
     let x = (p[1] - p[0]).try_normalize(1e-300)?;
     let z = x.cross(&(p[2] - p[0])).try_normalize(1e-300)?;
     Some(Matrix3::from_columns(&[x, z.cross(&x), z]))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-
-    struct Problem {
-        truth: Se3,
-        rays: [Vector3<f64>; 3],
-        points: [Vector3<f64>; 3],
-    }
-
-    fn random_problem(rng: &mut ChaCha8Rng, depth: f64) -> Problem {
-        let mut number = |low: f64, high: f64| rng.random_range(low..high);
-        let delta: [f64; 6] = std::array::from_fn(|i| {
-            if i < 3 {
-                number(-1.8, 1.8)
-            } else {
-                number(-5.0, 5.0)
-            }
-        });
-        let truth = Se3::exp(&delta.into());
-        // Rays over more than a hemisphere: fisheye lenses see that much.
-        let rays: [Vector3<f64>; 3] = std::array::from_fn(|_| {
-            Vector3::new(number(-1.0, 1.0), number(-1.0, 1.0), number(-0.2, 1.0)).normalize()
-        });
-        let points = rays.map(|r| truth.inverse() * (r * number(0.1 * depth, depth)));
-        Problem {
-            truth,
-            rays,
-            points,
-        }
-    }
-
-    #[test]
-    fn the_true_pose_is_among_the_solutions() {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let (mut missed, mut wrong, mut count) = (0, 0, 0);
-        const TRIALS: usize = 20_000;
-        for trial in 0..TRIALS {
-            let depth = [1.0, 10.0, 1000.0][trial % 3];
-            let problem = random_problem(&mut rng, depth);
-            let poses = solve_p3p(&problem.rays, &problem.points);
-            assert!(poses.len() <= 4);
-            count += poses.len();
-            let best = poses
-                .iter()
-                .map(|p| (p.inverse() * problem.truth).log().norm())
-                .fold(f64::INFINITY, f64::min);
-            if best > 1e-5 * depth.max(1.0) {
-                missed += 1;
-            }
-            for pose in &poses {
-                for (ray, point) in problem.rays.iter().zip(&problem.points) {
-                    if ((*pose * *point).normalize() - ray).norm() > 1e-6 {
-                        wrong += 1;
-                    }
-                }
-            }
-        }
-        // Near-degenerate triangles lose digits; they must stay rare, and no returned pose may miss a ray.
-        assert!(missed <= TRIALS / 1000, "missed {missed} of {TRIALS}");
-        assert!(wrong <= TRIALS / 1000, "{wrong} rays missed");
-        let per_problem = count as f64 / TRIALS as f64;
-        assert!((1.0..2.5).contains(&per_problem), "{per_problem}");
-    }
-
-    #[test]
-    fn degenerate_problems_have_no_solution_or_a_right_one() {
-        let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let p = random_problem(&mut rng, 5.0);
-        let line = [
-            p.points[0],
-            p.points[1],
-            p.points[0] * 0.3 + p.points[1] * 0.7,
-        ];
-        assert!(solve_p3p(&p.rays, &line).is_empty());
-        assert!(solve_p3p(&p.rays, &[p.points[0]; 3]).is_empty());
-        for pose in solve_p3p(&[p.rays[0]; 3], &p.points) {
-            assert!(pose.translation.iter().all(|v| v.is_finite()));
-        }
-        // Three points of a cube's corner seen symmetrically: a double root.
-        let symmetric = [Vector3::x(), Vector3::y(), Vector3::z()];
-        let poses = solve_p3p(&symmetric, &symmetric);
-        let identity = |p: &Se3| p.log().norm() < 1e-5;
-        assert!(poses.iter().any(identity), "{poses:?}");
-        let nan = [Vector3::repeat(f64::NAN); 3];
-        assert!(solve_p3p(&nan, &symmetric).is_empty());
-        assert!(solve_p3p(&symmetric, &nan).is_empty());
-    }
 }
