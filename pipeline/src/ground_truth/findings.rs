@@ -129,6 +129,15 @@ impl GroundTruthWarning {
             .value(*secs, "s")
             .limit(Limit::AtMost(0.0))
             .remedy("walk where the scanner went, or make sure that there is no other place like it"),
+            Self::LooksAlike { other } => warn(
+                "looks-alike",
+                "trajectory",
+                format!(
+                    "{} points of the map are found where the walk is, and {} if all of it were {:.1} m away and turned by {:.0}°: there the map looks much the same",
+                    other.matches_here, other.matches_there, other.away_m, other.turn_deg
+                ),
+            )
+            .remedy("make sure that it is this place, or walk on to where the place is unmistakable"),
             Self::NotAtRest {
                 rounds,
                 changing,

@@ -238,6 +238,11 @@ pub enum GroundTruthWarning {
         /// How long, seconds.
         secs: f64,
     },
+    /// The whole walk fits the map not much worse somewhere else.
+    LooksAlike {
+        /// Where.
+        other: OtherPlace,
+    },
     /// Observations still came or went when the rounds of choosing them and solving were done.
     NotAtRest {
         /// How many rounds.

@@ -8,6 +8,9 @@ use super::report::{GroundTruthReport, GroundTruthWarning, LeftOutReason, Span};
 use super::walk::Walk;
 use crate::frames::{FeatureFrame, ReadFrames};
 
+/// A walk that fits its place so many times as well as any other is unmistakable.
+const UNMISTAKABLE: f64 = 2.0;
+
 /// What of the walk lies before and after the frames that were looked at.
 pub(super) fn out_of_reach(frames: &[FeatureFrame], reach: &Range<usize>) -> Vec<Span> {
     let before = frames[..reach.start]
@@ -46,6 +49,10 @@ pub(super) fn warnings(
             warnings.push(GroundTruthWarning::CameraOff { found });
         }
     }
+    let alike = report
+        .other_place
+        .filter(|other| other.margin() < UNMISTAKABLE);
+    warnings.extend(alike.map(|other| GroundTruthWarning::LooksAlike { other }));
     let some = |count: u64| (count > 0).then_some(count);
     let counted = [
         some(report.imu_gaps).map(|intervals| GroundTruthWarning::ImuGaps { intervals }),

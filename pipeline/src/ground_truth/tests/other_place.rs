@@ -35,7 +35,14 @@ fn elsewhere(room: Paint) -> Option<Elsewhere> {
 }
 
 fn half_a_turn() -> Se3 {
-    Se3::exp(&lsfb_geometry::Vector6::new(0.0, 0.0, std::f64::consts::PI, 0.0, 0.0, 0.0))
+    Se3::exp(&lsfb_geometry::Vector6::new(
+        0.0,
+        0.0,
+        std::f64::consts::PI,
+        0.0,
+        0.0,
+        0.0,
+    ))
 }
 
 /// In a corridor with four equal doors every image of two phones was found at the wrong end, 14 m away: nothing else was wrong with the walk.
