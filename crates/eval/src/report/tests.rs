@@ -116,6 +116,7 @@ fn made_up() -> Report {
         Track::of(name, evaluation, &Trajectory::new(truth.to_vec()))
     };
     Report {
+        introduction: String::new(),
         title: "Demo walk, seed 7".to_owned(),
         figures: vec![
             most("Scanner ATE rms", scanner.ate_translation_m.rmse, "m", 0.03),
