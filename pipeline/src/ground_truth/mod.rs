@@ -7,7 +7,7 @@
 //! more. Whatever was not used is looked at again after every solve.
 //!
 //! A pose is given only if it may be believed: its covariance is small enough, halves of the map's points agree on it, and what the map
-//! says should be in view there is there. A place that is the same in every image cannot be told by any of these: a walk through one of
+//! says should be in view there is there; and no move of the whole walk leads to where the map looks much the same. A place that is the same in every image cannot be told by any of these: a walk through one of
 //! two floors of which only the other is mapped, and which look alike in all that the walk sees, comes out as one on the mapped floor.
 //!
 //! [`motion_without_map`] has the motion of a walk for which there is no map, from tracks and the IMU, by the same adjustment.
