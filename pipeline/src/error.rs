@@ -2,8 +2,6 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
-use crate::ground_truth::OtherPlace;
-
 /// What can go wrong in this crate: what, where, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -343,13 +341,19 @@ pub enum Error {
     },
     /// The whole walk fits the map nearly as well somewhere else.
     #[error(
-        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_place_margin is {margin}); walk on to where the place is unmistakable", other.matches_here, other.matches_there, other.away_m, other.turn_deg, path = path.display()
+        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_place_margin is {margin}); walk on to where the place is unmistakable", matches_here, matches_there, away_m, turn_deg, path = path.display()
     )]
     LooksAlike {
         /// The recording.
         path: PathBuf,
-        /// The next best place.
-        other: OtherPlace,
+        /// Points that some of its instants show where they are said to be.
+        matches_here: u64,
+        /// The same if all of them were at the next best place.
+        matches_there: u64,
+        /// How far that is, metres.
+        away_m: f64,
+        /// How far the walk would be turned, degrees.
+        turn_deg: f64,
         /// How many times as much must be found.
         margin: f64,
     },

@@ -49,6 +49,8 @@ pub struct PositionFix {
 pub struct LidarClock {
     /// Absolute time of the last locked position packet.
     locked: Option<Timestamp>,
+    /// The last time that was told since then: in which hour the counter is, however long ago the pulse was lost.
+    told: Option<Timestamp>,
     /// Position packets said that the sensor runs free.
     free: bool,
     /// The pulse is gone since the last locked position packet.
@@ -64,7 +66,9 @@ impl LidarClock {
         match (fix.pps_locked, fix.sentence, self.locked) {
             (true, Some(sentence), _) => self.lock(nearest_hour(fix.toh_ns, sentence)),
             // Still locked, but this sentence did not come through: go on from the last one.
-            (true, None, Some(last)) => self.lock(nearest_hour(fix.toh_ns, last)),
+            (true, None, Some(last)) => {
+                self.lock(nearest_hour(fix.toh_ns, self.told.unwrap_or(last)));
+            }
             // The second that was locked goes on by the sensor's own quartz.
             (false, _, Some(_)) => {
                 self.lock_losses += u64::from(!self.holdover);
@@ -75,7 +79,7 @@ impl LidarClock {
     }
 
     fn lock(&mut self, time: Timestamp) {
-        self.locked = Some(time);
+        (self.locked, self.told) = (Some(time), Some(time));
         self.holdover = false;
     }
 
@@ -118,7 +122,11 @@ impl LidarClock {
     /// Time of a counter value that arrived at `arrival`.
     pub fn time(&mut self, toh_ns: i64, arrival: Timestamp) -> Timestamp {
         match self.locked {
-            Some(reference) => nearest_hour(toh_ns, reference),
+            Some(locked) => {
+                let time = nearest_hour(toh_ns, self.told.unwrap_or(locked));
+                self.told = Some(time);
+                time
+            }
             None => {
                 let device_ns = self.unwrap.unwrap(toh_ns.rem_euclid(HOUR_NS), HOUR_NS);
                 self.one_way.push(device_ns, arrival);
@@ -166,6 +174,34 @@ mod tests {
             nearest_hour(HOUR_NS + 60_000_000, noon),
             noon.plus_nanos(60_000_000)
         );
+    }
+
+    /// Stamps of a long scan indoors went back by an hour half an hour after the pulse was lost.
+    #[test]
+    fn hours_go_on_without_the_pulse() {
+        let hour = Timestamp::from_nanos(1_772_359_200_000_000_000);
+        let mut clock = LidarClock::default();
+        let fix = |toh_ns: i64, pps_locked: bool| PositionFix {
+            toh_ns,
+            pps_locked,
+            sentence: pps_locked.then_some(hour),
+        };
+        clock.fix(&fix(0, true));
+        for minute in 1..200 {
+            let after_ns = minute * (HOUR_NS / 60);
+            clock.fix(&fix(after_ns % HOUR_NS, false));
+            let time = clock.time(after_ns % HOUR_NS, Timestamp::from_nanos(3));
+            assert_eq!(time, hour.plus_nanos(after_ns), "minute {minute}");
+        }
+        assert_eq!(clock.holdover_since(), Some(hour));
+        // The pulse is back, and its sentence is not there yet.
+        let after_ns = 200 * (HOUR_NS / 60);
+        clock.fix(&PositionFix {
+            sentence: None,
+            ..fix(after_ns % HOUR_NS, true)
+        });
+        let time = clock.time(after_ns % HOUR_NS, Timestamp::from_nanos(3));
+        assert_eq!(time, hour.plus_nanos(after_ns));
     }
 
     #[test]

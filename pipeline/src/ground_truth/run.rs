@@ -192,7 +192,10 @@ fn solve_in_map(
     if let Some(other) = other_place.filter(|other| other.margin() < config.min_place_margin) {
         return Err(Error::LooksAlike {
             path: path.clone(),
-            other,
+            matches_here: other.matches_here,
+            matches_there: other.matches_there,
+            away_m: other.away_m,
+            turn_deg: other.turn_deg,
             margin: config.min_place_margin,
         });
     }

@@ -83,7 +83,7 @@ impl Order {
             .held
             .keys()
             .next_back()
-            .map_or(0, |last| last - next + 1);
+            .map_or(0, |last| last.saturating_sub(next).saturating_add(1));
         self.given_up.saturating_add(open)
     }
 
