@@ -532,7 +532,10 @@ fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
     assert!(found("walk.tum").lines().count() > 10);
 
     // The same folder as images, each for itself: its cameras are those of the rig by their names.
-    run("localize map mav0 --rig rig.toml --every 5 --out images.csv");
+    run(
+        "localize map mav0 --rig rig.toml --every 5 --out images.csv",
+        4,
+    );
     let lines = found("images.csv");
     let of = |camera: &str| lines.lines().filter(|l| l.starts_with(camera)).count();
     for camera in rig.cameras.keys() {
