@@ -30,7 +30,7 @@ pub struct GroundTruthConfig {
     /// Localization of each instant.
     pub localization: LocalizerConfig,
     /// Frames that are localized on their own are at least this far apart, seconds, but where one of them is not found: the others are matched where the walk
-    /// leads, with as many points for a tenth of the time.
+    /// leads, which costs much less.
     pub localize_every_secs: f64,
     /// Fewest frames that must be localized in the map.
     pub min_localized_frames: usize,
