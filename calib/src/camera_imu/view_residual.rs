@@ -79,7 +79,7 @@ impl Residual for ViewResidual {
         let time_s = self.time_in_segment_s + clock.x + clock.y * self.after_middle_s;
         let weights = Weights::<ORDER>::at(time_s / self.spacing_s, self.spacing_s);
         let position = spline::position(&weights, &positions).ok_or(Undefined)?;
-        let wanted = (0..SHAPES.len()).any(|k| out.wants_jacobian(k));
+        let wanted = out.wants_jacobians();
         if !wanted {
             // Only the norm counts.
             let rotation = spline::rotation(&weights, &rotations).ok_or(Undefined)?;

@@ -89,6 +89,12 @@ impl Linearization<'_> {
         self.with_jacobians && self.slots[position].jacobian != CONSTANT
     }
 
+    /// Whether any derivative is wanted: not so while only the cost is, and where all blocks are constant.
+    #[inline]
+    pub fn wants_jacobians(&self) -> bool {
+        (0..self.slots.len()).any(|position| self.wants_jacobian(position))
+    }
+
     /// Writes the derivative by the tangent of the block at `position`; nothing happens where it is not wanted.
     #[inline]
     pub fn set_jacobian<const D: usize, const N: usize>(

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::guided_matching::Query;
 use super::localizer::{Localizer, contradict};
+use super::matches::MountedCamera;
 use super::voting::{Candidates, Vote};
 use crate::features::FrameFeatures;
 
@@ -120,13 +121,9 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec
         .collect();
     let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
     let places = &localizer.places;
-    let first_camera = cameras.first().map(|camera| camera.rig_from_camera);
-    let here = places.points_of(&nearest_images(
-        localizer,
-        &(frame.world_from_rig * first_camera.unwrap_or_else(Se3::identity)),
-    ));
+    let here = points_around(localizer, &cameras, &frame.world_from_rig);
     let shows_the_same = |vote: &Vote| {
-        let points = places.points_of(&[vote.image]);
+        let points = places.points_in(vote.image);
         let shared = points.iter().filter(|p| here.binary_search(p).is_ok());
         shared.count() as f64 >= SAME_VIEW_SHARE * points.len() as f64
     };
@@ -169,13 +166,23 @@ fn matches_at(
         grids: &grids,
         cameras: &cameras,
     };
-    let around = cameras
-        .iter()
-        .flat_map(|camera| nearest_images(localizer, &(*world_from_rig * camera.rig_from_camera)));
-    let points = localizer.places.points_of(&around.collect::<Vec<_>>());
+    let points = points_around(localizer, &cameras, world_from_rig);
     let found = query.guided_pose(&points, world_from_rig, &localizer.guided());
     let found = found.filter(|found| !contradict(&found.world_from_rig, world_from_rig));
     found.map_or(0, |found| found.matches.len())
+}
+
+/// Points of the map's images that look most as the cameras of a rig do, ascending.
+fn points_around(
+    localizer: &Localizer,
+    cameras: &[MountedCamera],
+    world_from_rig: &Se3,
+) -> Vec<u32> {
+    let images: Vec<u32> = cameras
+        .iter()
+        .flat_map(|camera| nearest_images(localizer, &(*world_from_rig * camera.rig_from_camera)))
+        .collect();
+    localizer.places.points_of(&images)
 }
 
 /// Numbers of the map's images that look most as a camera does from a pose.

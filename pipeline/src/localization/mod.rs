@@ -39,8 +39,8 @@ pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 pub use p3p::solve_p3p;
 pub(crate) use queries::localize_frames_apart;
 pub use queries::{
-    ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, judge_together,
-    localize_images, localize_posed_images, localize_recording, localize_recording_in_stages,
+    ImageLocalization, InstantLocalization, WalkLocalization, judge_together, localize_images,
+    localize_posed_images, localize_recording, localize_recording_in_stages,
 };
 pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

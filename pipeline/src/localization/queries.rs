@@ -15,7 +15,7 @@ use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
 use crate::frames::{FeatureFrame, read_frames, times_apart};
 use crate::kept_stages::KeptStages;
-use crate::posed_images::{PosedImages, read_image};
+use crate::posed_images::{PosedImages, QueryImage, read_image};
 
 /// What became of one image, beside the pose its list gives.
 #[derive(Clone, Debug, PartialEq)]
@@ -127,15 +127,6 @@ fn judge_each_camera(
     });
     let judged: BTreeMap<usize, _> = judged.collect();
     judged.into_values().collect()
-}
-
-/// An image file to be localized.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct QueryImage {
-    /// The file: PNG or JPEG.
-    pub path: PathBuf,
-    /// Name of the camera on the rig.
-    pub camera: String,
 }
 
 /// Localizes each image on its own, in their order. Refuses a detector of another feature than the map's.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 
-use super::unposed::{UnposedImage, UnposedImages};
+use super::unposed::{QueryImage, UnposedImages};
 use super::{PosedImage, PosedImages, fitting};
 use crate::Error;
 
@@ -128,8 +128,8 @@ impl Listed {
             return Err(self.refuse("it lists no image"));
         }
         let images = std::mem::take(&mut self.images).into_iter();
-        let images: Vec<UnposedImage> = images
-            .map(|image| UnposedImage {
+        let images: Vec<QueryImage> = images
+            .map(|image| QueryImage {
                 path: image.path,
                 camera: image.camera,
             })

@@ -22,7 +22,7 @@ use crate::Error;
 use crate::camera_fit::principal_point_fits;
 
 pub use image_layout::ImageLayout;
-pub use unposed::{UnposedImage, UnposedImages};
+pub use unposed::{QueryImage, UnposedImages};
 
 /// By how much a matrix of a list may miss being a rotation: some print three digits.
 const ROTATION_ROUNDING: f64 = 1e-2;

@@ -10,9 +10,9 @@ use crate::Error;
 /// Endings of image files, in small letters.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// An image file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct UnposedImage {
+/// An image file to be localized.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct QueryImage {
     /// The file: PNG or JPEG.
     pub path: PathBuf,
     /// Name of the camera on the rig.
@@ -25,7 +25,7 @@ pub struct UnposedImages {
     /// The cameras, each its own rig.
     pub rig: Rig,
     /// The images.
-    pub images: Vec<UnposedImage>,
+    pub images: Vec<QueryImage>,
     /// What is not in it that the folder holds, a sentence each.
     pub notes: Vec<String>,
 }
@@ -34,7 +34,7 @@ impl UnposedImages {
     /// Images of the only camera of a rig.
     pub(super) fn of_one_camera(rig: Rig, paths: Vec<PathBuf>) -> Self {
         let camera = rig.cameras.keys().next().cloned().unwrap_or_default();
-        let images = paths.into_iter().map(|path| UnposedImage {
+        let images = paths.into_iter().map(|path| QueryImage {
             path,
             camera: camera.clone(),
         });
@@ -46,7 +46,7 @@ impl UnposedImages {
     }
 
     pub(super) fn without_poses(posed: PosedImages) -> Self {
-        let images = posed.images.into_iter().map(|image| UnposedImage {
+        let images = posed.images.into_iter().map(|image| QueryImage {
             path: image.path,
             camera: image.camera,
         });

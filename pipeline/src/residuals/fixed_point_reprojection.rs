@@ -39,7 +39,7 @@ impl Residual for FixedPointReprojection {
         let camera = &self.camera;
         let sight = camera.sight(&pose, &self.motion, &correction, row_px, point);
         let weight = 1.0 / self.sigma_px;
-        if !(0..2).any(|block| out.wants_jacobian(block)) {
+        if !out.wants_jacobians() {
             out.set_residual(&((sight.pixel()? - self.pixel) * weight));
             return Ok(());
         }

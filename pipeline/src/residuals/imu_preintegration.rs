@@ -248,7 +248,7 @@ impl Residual for ImuPreintegration {
         };
         let difference = self.difference(ends, &bias, &errors, &parameters.get(6));
         out.set_residual(&(self.sqrt_information * difference.residual()));
-        if !(0..self.blocks().len()).any(|k| out.wants_jacobian(k)) {
+        if !out.wants_jacobians() {
             return Ok(());
         }
 

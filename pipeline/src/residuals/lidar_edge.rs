@@ -38,7 +38,7 @@ impl Residual for LidarEdge {
         let p = m_from_n * self.point_in_n;
         let across = so3::hat(&(self.direction_in_m / self.sigma_m));
         out.set_residual(&(across * (p - self.point_in_m)));
-        if !(0..2).any(|block| out.wants_jacobian(block)) {
+        if !out.wants_jacobians() {
             return Ok(());
         }
         // ∂p/∂δm = [[p]×, −I]

@@ -39,7 +39,7 @@ impl Residual for LidarPlane {
         let p = world_from_m.rotation.inverse_transform_vector(&off_m);
         let n = self.normal_in_m / self.sigma_m;
         out.set_residual(&Vector1::new(n.dot(&(p - self.point_in_m))));
-        if !(0..2).any(|block| out.wants_jacobian(block)) {
+        if !out.wants_jacobians() {
             return Ok(());
         }
         // ∂p/∂δm = [[p]×, −I]

@@ -44,7 +44,7 @@ impl Residual for MovingReprojection {
         let camera = &self.camera;
         let sight = camera.sight(&pose, &self.motion, &correction, row_px, &point);
         let weight = 1.0 / self.sigma_px;
-        if !(0..3).any(|block| out.wants_jacobian(block)) {
+        if !out.wants_jacobians() {
             out.set_residual(&((sight.pixel()? - self.pixel) * weight));
             return Ok(());
         }

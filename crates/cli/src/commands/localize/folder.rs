@@ -5,8 +5,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use lsfb_datasets::import::{EurocImages, euroc_images};
 use lsfb_geometry::Rig;
-use lsfb_pipeline::localization::QueryImage;
-use lsfb_pipeline::posed_images::{ImageLayout, UnposedImages};
+use lsfb_pipeline::posed_images::{ImageLayout, QueryImage, UnposedImages};
 
 use super::Arguments;
 use crate::context::Context;
@@ -111,14 +110,10 @@ fn of_euroc(found: EurocImages) -> Listed {
 
 fn of_layout(folder: &Path, layout: ImageLayout) -> anyhow::Result<Listed> {
     let found = UnposedImages::read(folder, layout)?;
-    let images = found.images.into_iter().map(|image| QueryImage {
-        path: image.path,
-        camera: image.camera,
-    });
     Ok(Listed {
         rig: Some(found.rig),
         names_cameras: layout.names_cameras(),
-        images: images.collect(),
+        images: found.images,
         notes: found.notes,
     })
 }

@@ -9,9 +9,9 @@ use lsfb_pipeline::features::FeatureDetector;
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{
-    Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording_in_stages,
+    Localizer, LocalizerConfig, localize_images, localize_recording_in_stages,
 };
-use lsfb_pipeline::posed_images::{PosedImages, read_image};
+use lsfb_pipeline::posed_images::{PosedImages, QueryImage, read_image};
 use lsfb_recording::{Provenance, Recording};
 use lsfb_types::{Progress, Timestamp};
 

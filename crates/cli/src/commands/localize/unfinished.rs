@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_geometry::Se3;
-use lsfb_pipeline::localization::QueryImage;
+use lsfb_pipeline::posed_images::QueryImage;
 use lsfb_recording::{Provenance, sha256_of};
 use serde::{Deserialize, Serialize};
 
