@@ -124,18 +124,20 @@ impl Layout {
 }
 
 /// Builds the world and writes what is known beforehand: rigs and settings beside, the truth in a folder of its own. Rigs of backpack
-/// and second walk that were `calibrated` are what the devices state; without, they state how they were built.
+/// and second walk that were `calibrated` are what the devices state; without, they state how they were built. The world of an `earlier`
+/// simulation is taken where it is the same.
 pub fn prepare(
     layout: &Layout,
     config: &SimConfig,
     calibrated: [Option<Rig>; 2],
+    earlier: Option<&Simulation>,
     context: &Context,
 ) -> anyhow::Result<Arc<Simulation>> {
     let mut asked = config.clone();
     if asked.light.baked && asked.light.cache.as_os_str().is_empty() {
         asked.light.cache = layout.file("light");
     }
-    let simulation = Simulation::new(&asked, &|p| context.show(p))?;
+    let simulation = Simulation::after(earlier, &asked, &|p| context.show(p))?;
     if let Some(report) = simulation.world().light_report()
         && let (Some(file), Some(problem)) = (&report.file, &report.damaged)
     {

@@ -1,10 +1,11 @@
 //! Scans and walks in the twin: their settings, and their recordings, which are made once.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
-use lsfb_sim::{Device, PaperMotion, Place, SimConfig, Walker};
+use lsfb_sim::{Device, PaperMotion, Place, SimConfig, Simulation, Walker};
 
 use crate::context::Context;
 use crate::simulated::{self, Layout, WalkTold};
@@ -90,11 +91,13 @@ impl<'a> Wanted<'a> {
         ]
     }
 
-    /// Simulates and records unless the recording stands; `begins` is called before. How many messages were lost.
+    /// Simulates and records unless the recording stands; `begins` is called before. How many messages were lost. `last` is the simulation
+    /// that was recorded before, if any, whose world may serve once more, and then this one.
     pub fn record(
         &self,
         layout: &Layout,
         context: &Context,
+        last: &mut Option<Arc<Simulation>>,
         begins: impl FnOnce(),
     ) -> anyhow::Result<u64> {
         let made_from = self.made_from();
@@ -105,7 +108,7 @@ impl<'a> Wanted<'a> {
         }
         begins();
         standing::forget(&outputs)?;
-        let lost = self.make(layout, context)?;
+        let lost = self.make(layout, context, last)?;
         standing::finish(&outputs, &[], &made_from, &lost)?;
         Ok(lost)
     }
@@ -119,13 +122,21 @@ impl<'a> Wanted<'a> {
         made_from
     }
 
-    fn make(&self, layout: &Layout, context: &Context) -> anyhow::Result<u64> {
+    fn make(
+        &self,
+        layout: &Layout,
+        context: &Context,
+        last: &mut Option<Arc<Simulation>>,
+    ) -> anyhow::Result<u64> {
         let rig = self.rig.cloned();
         let rigs = match self.walker {
             Walker::Backpack => [rig, None],
             Walker::Glasses => [None, rig],
         };
-        let simulation = simulated::prepare(layout, self.config, rigs, context)?;
+        let earlier = last.take();
+        let simulation =
+            simulated::prepare(layout, self.config, rigs, earlier.as_deref(), context)?;
+        drop(earlier);
         let report = match (self.walker, self.told) {
             (Walker::Backpack, _) => simulated::record_backpack(layout, &simulation, context)?,
             (Walker::Glasses, Some(told)) => {
@@ -133,6 +144,7 @@ impl<'a> Wanted<'a> {
             }
             (Walker::Glasses, None) => simulated::record_glasses(layout, &simulation, context)?,
         };
+        *last = Some(simulation);
         Ok(report.lost)
     }
 }

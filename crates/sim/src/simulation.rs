@@ -1,5 +1,7 @@
 //! A world, two rigs in it, and what their sensors measure: the offline way to the data, without devices.
 
+use std::sync::Arc;
+
 use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Echo, Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
@@ -21,7 +23,7 @@ use crate::{Error, rigs};
 #[derive(Clone, Debug)]
 pub struct Simulation {
     config: SimConfig,
-    world: World,
+    world: Arc<World>,
     scan: RigSim,
     glasses: RigSim,
     surroundings: Surroundings,
@@ -51,8 +53,20 @@ pub struct RigSim {
 impl Simulation {
     /// Builds the world and both walks. Takes seconds at the default resolution.
     pub fn new(config: &SimConfig, progress: ProgressFn) -> Result<Self, Error> {
+        Self::after(None, config, progress)
+    }
+
+    /// The same; the world is that of an earlier simulation where the settings ask for no other.
+    pub fn after(
+        earlier: Option<&Self>,
+        config: &SimConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Error> {
         config.check()?;
-        let world = Place::build(config, progress)?;
+        let world = match earlier.filter(|earlier| earlier.config.has_world_of(config)) {
+            Some(earlier) => Arc::clone(&earlier.world),
+            None => Arc::new(Place::build(config, progress)?),
+        };
         let [scan_walk, second_walk] = walks(config, &world)?;
         let mut scan = RigSim::new(
             rigs::backpack(config),

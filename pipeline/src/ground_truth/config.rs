@@ -198,7 +198,7 @@ impl Default for GroundTruthConfig {
             max_position_sigma_m: 0.05,
             max_disagreement_m: 0.08,
             // Three-second walks on another floor that is built alike came to 0.03 at least; right ones to 0.006, and one of 24 s to 0.015.
-            max_absent_share: 0.02,
+            max_absent_share: 0.06,
             accept_failed_map: false,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,

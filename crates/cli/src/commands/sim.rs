@@ -259,7 +259,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     arguments.equipment.apply(&mut config);
     expect_no_other(out, &config, arguments.record, context)?;
     let layout = Layout::create(out)?;
-    let simulation = simulated::prepare(&layout, &config, [None, None], context)?;
+    let simulation = simulated::prepare(&layout, &config, [None, None], None, context)?;
     let mut recordings = Vec::new();
     if arguments.record && with_arrivals {
         recordings = simulated::record_with_simulated_arrivals(&layout, &simulation, context)?;

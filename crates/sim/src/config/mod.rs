@@ -261,6 +261,31 @@ impl Default for CameraConfig {
 }
 
 impl SimConfig {
+    /// Whether the world of these settings is that of others: they differ at most in the second walk and in what it is recorded with.
+    pub(crate) fn has_world_of(&self, other: &Self) -> bool {
+        let Self {
+            floors_up,
+            device,
+            motion,
+            off_path_m,
+            glasses,
+            glasses_cameras,
+            glasses_imu,
+            ..
+        } = self.clone();
+        *self
+            == Self {
+                floors_up,
+                device,
+                motion,
+                off_path_m,
+                glasses,
+                glasses_cameras,
+                glasses_imu,
+                ..other.clone()
+            }
+    }
+
     /// A scan and a walk in a place, with the sensors of Table III: the cameras' full resolution and rate, blur by
     /// exposure, automatic exposure, rolling shutters on phones.
     pub fn for_place(place: Place, device: Device) -> Self {

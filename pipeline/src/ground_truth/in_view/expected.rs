@@ -6,6 +6,7 @@
 //! expected only in views that differ from one of the map's by less than those differ from their mean.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 use lsfb_geometry::Vector3;
 
@@ -23,6 +24,8 @@ pub(super) struct Views<'a> {
     images: Vec<MapImage>,
     /// Of each point how far away it was where it was smallest, metres a pixel of focal length.
     smallest: Vec<f64>,
+    /// Of each point the images that show it.
+    seen_from: Vec<Vec<u32>>,
 }
 
 /// An image of the map.
@@ -67,10 +70,18 @@ impl<'a> Views<'a> {
             }
             smallest.push(farthest);
         }
+        let images: Vec<MapImage> = images.into_values().collect();
+        let mut seen_from = vec![Vec::new(); map.point_count()];
+        for (image, shown) in (0..).zip(&images) {
+            for seen in &shown.points {
+                seen_from[seen.point as usize].push(image);
+            }
+        }
         Self {
             map,
-            images: images.into_values().collect(),
+            images,
             smallest,
+            seen_from,
         }
     }
 
@@ -79,6 +90,20 @@ impl<'a> Views<'a> {
     pub fn size(&self, point: u32, away_m: f64, focal_px: f64) -> f64 {
         let smallest = self.smallest.get(point as usize).copied();
         smallest.unwrap_or(0.0) * focal_px / away_m.max(f64::MIN_POSITIVE)
+    }
+
+    /// Smallest angle at a point between the way to a place in the world and those to the images of the map that show it, radians.
+    pub fn aside_rad(&self, point: u32, centre_in_world: &Vector3<f64>) -> f64 {
+        let Some(point_in_world) = self.map.position(point) else {
+            return PI;
+        };
+        let here = centre_in_world - point_in_world;
+        let seen_from = self.seen_from.get(point as usize).into_iter().flatten();
+        let angles = seen_from.map(|image| {
+            let there = self.images[*image as usize].centre_in_world - point_in_world;
+            here.angle(&there)
+        });
+        angles.fold(PI, f64::min)
     }
 
     /// Points that a camera at a place in the world must see if it looks at them, in order.

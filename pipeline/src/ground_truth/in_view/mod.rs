@@ -4,15 +4,19 @@
 //! differs is not matched, and leaves no trace in any residual. So points of the map are looked for where the poses say that they must
 //! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its
 //! place. One that is there looks more like itself in its place than beside it; of one that is not there, one look is as good as
-//! another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
-//! points that lie together are there or absent together, and what they say together counts by how surely they say it. How much it proves depends on how surely the point is found where it is there: few
-//! images of the map that show it, and a place from which it is smaller than in any of them, make it unsure. A point in front of which the walk
-//! sees other things, as `hidden` says, is not looked for: there or not, it is not found.
+//! another. A point in front of which the walk sees other things, as `hidden` says, is not looked for: there or not, it is not found.
+//!
+//! A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does: what is there or was taken away is a thing
+//! with many points on it. So points are judged by cells as large as things are. Points that are few and far between, on plain walls and where
+//! edges cross in the image alone, are the least sure ones and on no thing. How much a point says depends on how surely it is found where it is
+//! there, and what a cell says is limited: a screen with a hundred points on it is one thing.
 
 mod expected;
 mod hidden;
+mod share;
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::ops::Range;
 
 use lsfb_geometry::{Vector2, Vector3};
@@ -26,6 +30,7 @@ use crate::features::{Features, KeypointGrid};
 use crate::hd_map::HdMap;
 use expected::Views;
 use hidden::Sights;
+use share::Expected;
 
 /// Time about which one judgement is made, seconds.
 const SPAN_SECS: f64 = 10.0;
@@ -42,25 +47,21 @@ const BORDER_PX: f64 = ASIDE_PX + RADIUS_PX;
 const MAX_DISTANCE: f32 = 0.75;
 /// A point must be looked for so often before it counts.
 const FEWEST_LOOKS: usize = 3;
-/// Points that lie together are judged together, at most so many.
-const GROUP: usize = 12;
-/// Share of points that look most like themselves in their place, where they are there, by how many images of the map show them: two, three
-/// and so on; the last holds for more. What two images have in common is often no point at all, or is seen from hardly anywhere.
-const FOUND_WHERE_THERE: [f64; 5] = [0.5, 0.65, 0.75, 0.75, 0.85];
-/// Of points that are smaller than the map's images show them anywhere, as of what is smaller than the detector's finest scale, that share
-/// falls with this power of the size.
-const FOUND_BY_SIZE: f64 = 1.5;
+/// Points are judged together that lie in a cell no longer, wider or higher than this, metres.
+const CELL_M: f64 = 1.0;
+/// So many points must lie in it.
+const FEWEST_IN_CELL: usize = 10;
 /// Share of points that look most like themselves in their place, where they are not there.
 const FOUND_WHERE_ABSENT: f64 = 0.25;
 /// How many times likelier one of the two must make what was found than the other to be believed.
 const LIKELIER: f64 = 20.0;
-
-/// So many points must have been looked for before a stretch is judged by them, and so many times must what they say be enough to be believed.
-const FEWEST_POINTS: usize = 4 * GROUP;
-const TIMES_BELIEVED: f64 = 4.0;
+/// What a cell says counts up to here, as a logarithm of that.
+const MOST_OF_CELL: f64 = 8.0;
+/// A stretch is judged by what so many cells say at least.
+const FEWEST_CELLS: f64 = 4.0;
 
 /// What was found of the points that should be in view, in a stretch of the walk. Evidence is the logarithm of how many times likelier what was
-/// found is if points that lie together are there, or are not, summed up over all such groups that say the one or the other.
+/// found is if the points of a cell are there, or are not, summed up over all cells that say the one or the other.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct InView {
     pub frames: Range<usize>,
@@ -70,7 +71,7 @@ pub(super) struct InView {
     pub there: f64,
     /// Evidence that they are not.
     pub absent: f64,
-    /// As much of that as one group has, at most.
+    /// As much of that as one cell has, at most.
     pub most_absent: f64,
 }
 
@@ -85,7 +86,7 @@ impl InView {
         }
     }
 
-    /// Evidence that points are not there, without that of one group: what hangs in one place may have been taken away.
+    /// Evidence that points are not there, without that of one cell: what hangs in one place may have been taken away.
     fn absent_elsewhere(&self) -> f64 {
         (self.absent - self.most_absent).max(0.0)
     }
@@ -98,8 +99,7 @@ impl InView {
 
     /// Whether there is enough of it to tell the place from one that is built alike.
     pub fn is_judged(&self) -> bool {
-        let evidence = self.there + self.absent;
-        self.points >= FEWEST_POINTS && evidence >= TIMES_BELIEVED * LIKELIER.ln()
+        self.there + self.absent >= FEWEST_CELLS * MOST_OF_CELL
     }
 
     /// Whether so much is absent that this may be another place.
@@ -203,8 +203,9 @@ struct Look {
     beside: Option<u32>,
     /// Whether the walk sees something in front of it.
     is_hidden: bool,
-    /// As [`Views::size`] has it.
+    /// As [`Views::size`] and [`Views::aside_rad`] have it.
     size: f64,
+    aside_rad: f64,
 }
 
 struct Search<'a> {
@@ -252,6 +253,7 @@ impl Search<'_> {
                 Look {
                     point,
                     size: self.views.size(point, away_m, lens.focal_px()[0]),
+                    aside_rad: self.views.aside_rad(point, &centre),
                     is_hidden: self.sights.hide(k, camera, &pixel, away_m),
                     in_place: nearest(pixel, point),
                     beside: aside.into_iter().filter_map(|at| nearest(at, point)).min(),
@@ -265,20 +267,14 @@ impl Search<'_> {
 /// A point that was looked for often enough.
 struct Sought {
     point_in_world: Vector3<f64>,
-    /// Images of the map that show it.
-    images: usize,
-    /// Where it is largest, as [`Views::size`] has it.
-    size: f64,
+    expected: Expected,
     is_found: bool,
 }
 
 impl Sought {
     /// Logarithm of how many times likelier what was found is if the point is there.
     fn likelihood(&self) -> f64 {
-        let last = FOUND_WHERE_THERE.len() - 1;
-        let there = FOUND_WHERE_THERE[self.images.saturating_sub(2).min(last)];
-        let there = there * self.size.min(1.0).powf(FOUND_BY_SIZE);
-        let there = there.max(FOUND_WHERE_ABSENT);
+        let there = self.expected.share_found().max(FOUND_WHERE_ABSENT);
         match self.is_found {
             true => (there / FOUND_WHERE_ABSENT).ln(),
             false => ((1.0 - there) / (1.0 - FOUND_WHERE_ABSENT)).ln(),
@@ -286,7 +282,7 @@ impl Sought {
     }
 }
 
-/// Of each point its best look counts; of points that lie together what they say together.
+/// Of each point its best look counts; of the points of a cell what they say together.
 fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
     let mut by_point: BTreeMap<u32, Vec<&Look>> = BTreeMap::new();
     for look in looks {
@@ -302,37 +298,59 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
             let is_better = |own: u32| beside.is_none_or(|beside| own < beside);
             Some(Sought {
                 point_in_world: map.position(point)?,
-                images: map.observations(point).count(),
-                size: looks.iter().map(|look| look.size).fold(0.0, f64::max),
+                expected: Expected {
+                    size: looks.iter().map(|look| look.size).fold(0.0, f64::max),
+                    aside_rad: looks.iter().map(|l| l.aside_rad).fold(PI, f64::min),
+                    spread_per_image: spread(map, point),
+                },
                 is_found: in_place.is_some_and(is_better),
             })
         })
         .collect();
     let mut found = InView::nothing(frames);
     found.points = sought.len();
-    judge_groups(&mut sought, &mut found);
+    judge_cells(&mut sought, &mut found);
     found
 }
 
-/// Halves the points where they spread most until they lie together.
-fn judge_groups(sought: &mut [Sought], found: &mut InView) {
-    if sought.len() > GROUP {
-        let spread = |axis: usize| {
-            let at = sought.iter().map(|s| s.point_in_world[axis]);
-            at.clone().fold(f64::NEG_INFINITY, f64::max) - at.fold(f64::INFINITY, f64::min)
-        };
-        let widest = (0..3)
-            .max_by(|a, b| spread(*a).total_cmp(&spread(*b)))
-            .unwrap_or(0);
+/// How far the descriptors of a point are apart at most, in units of their norm, by the images that show it.
+fn spread(map: &HdMap, point: u32) -> f64 {
+    let known = map.descriptors(point);
+    let pairs = known.iter().enumerate();
+    let pairs = pairs.flat_map(|(k, one)| known[..k].iter().map(move |other| (one, other)));
+    let farthest = pairs.map(|(one, other)| distance_squared(one, other)).max();
+    let farthest = f64::from(farthest.unwrap_or(0)).sqrt() / f64::from(DESCRIPTOR_NORM);
+    farthest / map.observations(point).count().max(1) as f64
+}
+
+/// Halves the space in which the points lie until it is a cell.
+fn judge_cells(sought: &mut [Sought], found: &mut InView) {
+    if sought.len() < FEWEST_IN_CELL {
+        return;
+    }
+    let ends = |axis: usize| {
+        let at = sought.iter().map(|s| s.point_in_world[axis]);
+        let low = at.clone().fold(f64::INFINITY, f64::min);
+        (low, at.fold(f64::NEG_INFINITY, f64::max))
+    };
+    let long_m = |axis: usize| ends(axis).1 - ends(axis).0;
+    let widest = (0..3)
+        .max_by(|a, b| long_m(*a).total_cmp(&long_m(*b)))
+        .unwrap_or(0);
+    if long_m(widest) > CELL_M {
+        let (low, high) = ends(widest);
+        let middle = 0.5 * (low + high);
         // The sort is stable: of equals the one of lower index comes first.
         sought.sort_by(|a, b| a.point_in_world[widest].total_cmp(&b.point_in_world[widest]));
-        let (low, high) = sought.split_at_mut(sought.len() / 2);
-        judge_groups(low, found);
-        judge_groups(high, found);
+        let first = sought.partition_point(|s| s.point_in_world[widest] <= middle);
+        let (low, high) = sought.split_at_mut(first);
+        judge_cells(low, found);
+        judge_cells(high, found);
         return;
     }
     let sum: f64 = sought.iter().map(Sought::likelihood).sum();
-    found.there += sum.max(0.0);
-    found.absent += (-sum).max(0.0);
-    found.most_absent = found.most_absent.max(-sum);
+    let said = sum.clamp(-MOST_OF_CELL, MOST_OF_CELL);
+    found.there += said.max(0.0);
+    found.absent += (-said).max(0.0);
+    found.most_absent = found.most_absent.max(-said);
 }

@@ -37,7 +37,7 @@ fn another_floor_that_is_built_alike_is_refused() {
     assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
 }
 
-/// Stretches of the made-up walk in which so much says that points are there and absent, of which a group says 12 at most, and which frames
+/// Stretches of the made-up walk in which so much says that points are there and absent, of which a cell says 3 at most, and which frames
 /// are left out for it.
 fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
     let MadeUp { mut walk, .. } = make_walk(20, 20, |_| true);
@@ -52,7 +52,7 @@ fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
             points: there + absent,
             there: there as f64,
             absent: absent as f64,
-            most_absent: absent.min(12) as f64,
+            most_absent: absent.min(3) as f64,
         })
         .collect();
     let config = GroundTruthConfig::default();
@@ -82,9 +82,5 @@ fn a_stretch_that_cannot_be_judged_is_where_the_rest_of_the_walk_is() {
     assert_eq!(left_out(&[(30, 70), (10, 0)]), [whole]);
     assert_eq!(left_out(&[(0, 12), (0, 12)]), [whole]);
     assert_eq!(left_out(&[(0, 30)]), [whole], "few, but all of them");
-    assert_eq!(
-        left_out(&[(0, 12)]),
-        [],
-        "one group of points proves nothing"
-    );
+    assert_eq!(left_out(&[(9, 3)]), [], "one cell of points proves nothing");
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use lsfb_eval::dataset::{
@@ -9,7 +10,7 @@ use lsfb_eval::dataset::{
 };
 use lsfb_geometry::Rig;
 use lsfb_recording::sha256_of;
-use lsfb_sim::{PaperMotion, Place, SimConfig};
+use lsfb_sim::{PaperMotion, Place, SimConfig, Simulation};
 use serde::{Deserialize, Serialize};
 
 use crate::context::Context;
@@ -101,8 +102,8 @@ impl Contents<'_> {
         scaled_s.max(self.settings.least_secs.min(whole_s))
     }
 
-    /// Makes and packs it unless it is packed.
-    pub fn pack(&self, wish: &Wish<'_>) -> anyhow::Result<()> {
+    /// Makes and packs it unless it is packed. `last` is as [`Wanted::record`] has it.
+    pub fn pack(&self, wish: &Wish<'_>, last: &mut Option<Arc<Simulation>>) -> anyhow::Result<()> {
         let config = self.config(wish)?;
         let rig = stated_rig(&config, wish);
         let told = WalkTold {
@@ -127,7 +128,7 @@ impl Contents<'_> {
         }
         standing::forget(&[&list])?;
         let layout = Layout::create(&self.making.join(wish.name()))?;
-        let lost = wanted.record(&layout, self.context, || {})?;
+        let lost = wanted.record(&layout, self.context, last, || {})?;
         anyhow::ensure!(
             lost == 0,
             "{}: {lost} messages were lost while it was recorded: run the command again",

@@ -114,15 +114,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         done += 1;
         context.note(&format!("{name}: {done} of {total}"));
     };
+    let mut last = None;
     for environment in &description.environments {
-        contents.pack(&Wish::scan(environment))?;
+        contents.pack(&Wish::scan(environment), &mut last)?;
         note(&environment.name);
         description.maps.push(MapEntry {
             environment: environment.name.clone(),
         });
     }
     for sequence in wanted {
-        contents.pack(&Wish::walk(sequence))?;
+        contents.pack(&Wish::walk(sequence), &mut last)?;
         note(&sequence.name);
         description.queries.push(contents.entry(sequence));
     }

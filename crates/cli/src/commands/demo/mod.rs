@@ -253,7 +253,7 @@ fn record(
     if let [Some(scan), Some(walk)] = stand {
         return Ok(scan + walk);
     }
-    let simulation = simulated::prepare(layout, sim_config, [None, None], context)?;
+    let simulation = simulated::prepare(layout, sim_config, [None, None], None, context)?;
     watch.lap("building the world");
     if !sim_config.clocks.is_ideal() {
         // Clocks that drift are told from arrivals: those of sockets read as fast as they go tell nothing.

@@ -44,13 +44,13 @@ pub struct Jitter {
     pub solved_m: Option<f64>,
 }
 
-/// Compares the jitter of a trajectory, where there is one, with that of localization alone, at the same images.
+/// Compares the jitter of a trajectory with that of localization alone, at the same images.
 pub fn jitter(
     walk: &Recording,
     map: &HdMap,
     truth: &Trajectory,
     truth_from_map: &Se3,
-    solved: Option<&Trajectory>,
+    solved: &Trajectory,
     context: &Context,
 ) -> anyhow::Result<Jitter> {
     let rig = walk.rig()?;
@@ -77,26 +77,15 @@ pub fn jitter(
         )
         .collect();
     let localized: Vec<Option<Vector3<f64>>> = found.into_iter().collect::<Result<_, _>>()?;
-    let solved = solved.map(|solved| {
-        let at = chosen.iter().map(|(time, _)| {
-            let place = solved.at(*time).map(|pose| *truth_from_map * pose);
-            off(truth, *time, place)
-        });
-        at.collect::<Vec<_>>()
-    });
     // Compared where both are known.
-    let (of_localized, of_solved) = match &solved {
-        Some(solved) => {
-            let both = |(a, b): (&Option<Vector3<f64>>, &Option<Vector3<f64>>)| a.zip(*b);
-            localized
-                .iter()
-                .zip(solved)
-                .map(both)
-                .map(|b| (b.map(|b| b.0), b.map(|b| b.1)))
-                .unzip()
-        }
-        None => (localized, Vec::new()),
-    };
+    let (of_localized, of_solved): (Vec<_>, Vec<_>) = chosen
+        .iter()
+        .zip(localized)
+        .map(|((time, _), localized)| {
+            let place = solved.at(*time).map(|pose| *truth_from_map * pose);
+            localized.zip(off(truth, *time, place)).unzip()
+        })
+        .unzip();
     Ok(Jitter {
         localized_m: second_difference_rms_m(&of_localized),
         solved_m: second_difference_rms_m(&of_solved),

@@ -177,24 +177,27 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 size: trial.size,
             };
             let mut scan = Scan::new(&trial, scanned);
-            for device in &devices {
-                for condition in conditions(*place) {
-                    let walked = Walked {
-                        scanned,
-                        condition: *condition,
-                        device: *device,
-                    };
-                    let (run, is_new) = scan.run(&mut trial, &walked, arguments.keep_recordings)?;
-                    made += usize::from(is_new);
-                    runs.push(run);
-                    if is_new {
-                        let each_s = began.elapsed().as_secs_f64() / made as f64;
-                        context.note(&format!(
-                            "{} of {total} runs, about {:.0} min left",
-                            runs.len(),
-                            each_s * (total - runs.len()) as f64 / 60.0
-                        ));
-                    }
+            let of_device = |device: &Device| {
+                let walked = |condition: &Condition| Walked {
+                    scanned,
+                    condition: *condition,
+                    device: *device,
+                };
+                conditions(*place).map(walked).collect::<Vec<_>>()
+            };
+            let walks: Vec<Walked> = devices.iter().flat_map(of_device).collect();
+            scan.record(&mut trial, &walks)?;
+            for walked in &walks {
+                let (run, is_new) = scan.run(&mut trial, walked, arguments.keep_recordings)?;
+                made += usize::from(is_new);
+                runs.push(run);
+                if is_new {
+                    let each_s = began.elapsed().as_secs_f64() / made as f64;
+                    context.note(&format!(
+                        "{} of {total} runs, about {:.0} min left",
+                        runs.len(),
+                        each_s * (total - runs.len()) as f64 / 60.0
+                    ));
                 }
             }
             if !arguments.keep_recordings {
@@ -346,15 +349,41 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// One walk, and whether it was made now; what stands is read.
-    fn run(
-        &mut self,
-        trial: &mut Trial,
-        walked: &Walked,
-        keep: bool,
-    ) -> anyhow::Result<(Run, bool)> {
-        let folder = self.session.walk_folder(walked);
-        let path = folder.join("run.json");
+    /// Records the scan and the walks that do not stand: those of one world after another, so that it is built once.
+    fn record(&mut self, trial: &mut Trial, walks: &[Walked]) -> anyhow::Result<()> {
+        let mut pending: Vec<&Walked> = Vec::new();
+        for walked in walks {
+            if self.standing(trial, walked).is_none() {
+                pending.push(walked);
+            }
+        }
+        if pending.is_empty() {
+            return Ok(());
+        }
+        let seed = self.session.scanned.seed;
+        let Ok(backpack) = trial.rig(seed, None)?.found else {
+            return Ok(());
+        };
+        let mut last = None;
+        self.session
+            .record_scan(&backpack, &mut self.costs, &mut last)?;
+        // The scan's world is that of the walks as scanned.
+        pending.sort_by_key(|walked| walked.condition);
+        for walked in pending {
+            let Ok(device) = trial.rig(seed, Some(walked.device))?.found else {
+                continue;
+            };
+            let folder = self.session.walk_folder(walked);
+            std::fs::create_dir_all(&folder)?;
+            let mut costs = Costs::open(folder.join("costs.json"));
+            self.session
+                .record_walk(walked, &device, &mut costs, &mut last)?;
+        }
+        Ok(())
+    }
+
+    /// Where the result of a walk lies, and what makes it.
+    fn result(&self, trial: &Trial, walked: &Walked) -> (PathBuf, Provenance) {
         let made_from = Provenance::new(&Settings {
             walked: *walked,
             rigs: trial.given,
@@ -363,9 +392,27 @@ impl<'a> Scan<'a> {
             mapping: MappingConfig::default(),
             ground_truth: GroundTruthConfig::default(),
         });
-        if let Some(run) = trial.context.standing(&[&path], &made_from) {
+        let folder = self.session.walk_folder(walked);
+        (folder.join("run.json"), made_from)
+    }
+
+    fn standing(&self, trial: &Trial, walked: &Walked) -> Option<Run> {
+        let (path, made_from) = self.result(trial, walked);
+        trial.context.standing(&[&path], &made_from)
+    }
+
+    /// One walk that is recorded, and whether it was made now; what stands is read.
+    fn run(
+        &mut self,
+        trial: &mut Trial,
+        walked: &Walked,
+        keep: bool,
+    ) -> anyhow::Result<(Run, bool)> {
+        if let Some(run) = self.standing(trial, walked) {
             return Ok((run, false));
         }
+        let (path, made_from) = self.result(trial, walked);
+        let folder = self.session.walk_folder(walked);
         std::fs::create_dir_all(&folder)?;
         standing::forget(&[&path])?;
         let run = self.make(trial, walked, &folder)?;
@@ -390,12 +437,11 @@ impl<'a> Scan<'a> {
             (Ok(backpack), Ok(device)) => {
                 run.rigs_off = [backpack.off.clone(), device.off.clone()].concat();
                 if self.mapped.is_none() {
-                    self.mapped = Some(self.session.map(backpack, &mut self.costs)?);
+                    self.mapped = Some(self.session.map(&mut self.costs)?);
                 }
                 match &self.mapped {
                     Some(Ok(mapped)) => {
-                        self.session
-                            .walk(walked, device, mapped, &mut costs, &mut run)?;
+                        self.session.walk(walked, mapped, &mut costs, &mut run)?;
                     }
                     Some(Err(why)) => run.refused = Some(why.clone()),
                     None => {}

@@ -84,7 +84,7 @@ pub fn calibrated(
     }
     made();
     let layout = Layout::create(folder)?;
-    let simulation = simulated::prepare(&layout, config, [None, None], context)?;
+    let simulation = simulated::prepare(&layout, config, [None, None], None, context)?;
     let (name, cameras, truth) = match bearer {
         Bearer::Backpack => ("scan.mcap", &config.scan_cameras, simulation.scan().rig()),
         Bearer::Walker => {

@@ -1,11 +1,13 @@
 //! The stages of a trial: scan → map, walk → ground truth, from recordings only. The truth is opened to judge, by `eval`.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use lsfb_eval::{Smoothness, read_poses};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
+use lsfb_sim::Simulation;
 use lsfb_types::{Stopped, median};
 
 use super::cost::Costs;
@@ -71,18 +73,49 @@ pub struct Session<'a> {
 }
 
 impl Session<'_> {
-    /// Scans the place with a backpack that states `rig`, and maps it.
-    pub fn map(&self, rig: &Calibrated, costs: &mut Costs) -> anyhow::Result<Refusable<Mapped>> {
-        let layout = Layout::create(&self.folder)?;
+    /// Records the scan with a backpack that states `rig`, unless it stands. `last` is as [`Wanted::record`] has it.
+    pub fn record_scan(
+        &self,
+        rig: &Calibrated,
+        costs: &mut Costs,
+        last: &mut Option<Arc<Simulation>>,
+    ) -> anyhow::Result<()> {
         let config = self.light.on(self.scanned.config());
         let wanted = Wanted {
             rig: Some(&rig.rig),
             ..Wanted::scan(&config)
         };
+        let layout = Layout::create(&self.folder)?;
         costs.of(SCAN, |made| {
-            wanted.record(&layout, self.context, || made.set(true))
+            wanted.record(&layout, self.context, last, || made.set(true))
         })?;
-        let [recording, _, truth] = wanted.files(&layout);
+        Ok(())
+    }
+
+    /// Records a walk with a device that states `rig`, as [`Session::record_scan`] does.
+    pub fn record_walk(
+        &self,
+        walked: &Walked,
+        rig: &Calibrated,
+        costs: &mut Costs,
+        last: &mut Option<Arc<Simulation>>,
+    ) -> anyhow::Result<()> {
+        let config = self.light.on(walked.config());
+        let wanted = Wanted {
+            rig: Some(&rig.rig),
+            ..Wanted::walk(&config)
+        };
+        let layout = Layout::create(&self.walk_folder(walked))?;
+        costs.of(WALK, |made| {
+            wanted.record(&layout, self.context, last, || made.set(true))
+        })?;
+        Ok(())
+    }
+
+    /// Maps the recorded scan.
+    pub fn map(&self, costs: &mut Costs) -> anyhow::Result<Refusable<Mapped>> {
+        let layout = Layout::create(&self.folder)?;
+        let [recording, _, truth] = Wanted::scan(&self.scanned.config()).files(&layout);
         let (map, trajectory) = (layout.file("map"), layout.file("scan.tum"));
         let job = MapJob {
             recording: &recording,
@@ -110,25 +143,16 @@ impl Session<'_> {
         })
     }
 
-    /// Walks through the mapped place with a device that states `rig`, places it, and judges it into `run`.
+    /// Places a recorded walk in the map, and judges it into `run`.
     pub fn walk(
         &self,
         walked: &Walked,
-        rig: &Calibrated,
         mapped: &Mapped,
         costs: &mut Costs,
         run: &mut Run,
     ) -> anyhow::Result<()> {
         let layout = Layout::create(&self.walk_folder(walked))?;
-        let config = self.light.on(walked.config());
-        let wanted = Wanted {
-            rig: Some(&rig.rig),
-            ..Wanted::walk(&config)
-        };
-        costs.of(WALK, |made| {
-            wanted.record(&layout, self.context, || made.set(true))
-        })?;
-        let [recording, _, truth] = wanted.files(&layout);
+        let [recording, _, truth] = Wanted::walk(&walked.config()).files(&layout);
         let estimate = layout.file("walk.tum");
         let job = WalkJob {
             recording: &recording,
@@ -165,13 +189,14 @@ impl Session<'_> {
             judging::localize(&walk, &map, &true_path, from_map, self.context)?;
         (run.localized, run.localized_right) = (claimed, right);
         let found = refusal(found, TRUTH)?;
-        let solved = found.as_ref().ok().map(|found| &found.trajectory);
-        let jitter = judging::jitter(&walk, &map, &true_path, from_map, solved, self.context)?;
-        run.jitter_localized_m = jitter.localized_m;
-        run.jitter_solved_m = jitter.solved_m;
         match found {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
             Ok(found) => {
+                let solved = &found.trajectory;
+                let jitter =
+                    judging::jitter(&walk, &map, &true_path, from_map, solved, self.context)?;
+                run.jitter_localized_m = jitter.localized_m;
+                run.jitter_solved_m = jitter.solved_m;
                 let report = &found.said.report;
                 (run.doubts, run.failed) = (found.said.doubts(), found.said.is_failed());
                 let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;

@@ -18,7 +18,7 @@ pub const OTHER_FLOOR: &str = "other-floor";
 const CROWD: u32 = 12;
 
 /// What has become of the place between scan and walk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Condition {
     /// Nothing but that people walk elsewhere and screens show something else.
