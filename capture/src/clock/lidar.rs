@@ -278,7 +278,7 @@ mod tests {
         /// Returns the largest error of what was told, seconds.
         fn hear(&mut self, secs: f64, ahead_ns: i64, pps_locked: Option<bool>) -> f64 {
             let mut worst_ns = 0;
-            for n in 0..(secs * 1e9) as i64 / EVERY_NS {
+            for n in 0..(secs * 1e9).round() as i64 / EVERY_NS {
                 self.now = self.now.plus_nanos(EVERY_NS);
                 let toh_ns = (self.now - NOON + ahead_ns).rem_euclid(HOUR_NS);
                 if n % 2 == 1 {

@@ -40,12 +40,12 @@ impl Findings {
         let topics = recording.topics().iter();
         let topics = topics.filter_map(|t| Some((&*t.topic, t.topic.strip_prefix(CLOCK_MODELS)?)));
         for (topic, device) in topics {
-            let last = recording.last_message(topic)?;
             let messages: Vec<CdrMessage> = match config.read {
                 // What is damaged is said elsewhere.
                 Depth::Everything => recording.messages(topic)?.filter_map(Result::ok).collect(),
                 Depth::Indexes => {
                     let first = recording.messages(topic)?.next();
+                    let last = recording.last_message(topic)?;
                     first.and_then(Result::ok).into_iter().chain(last).collect()
                 }
             };

@@ -174,7 +174,7 @@ async fn store(
     if is_other && let Some(before) = open.take() {
         before.close("began another recording").await;
     }
-    let session = match open {
+    let session = match &mut *open {
         Some(session) => session,
         none => {
             let before = paused.take();
