@@ -259,7 +259,8 @@ impl CameraStream {
         };
         if let Some(reading) = reading {
             meter.set_sync(reading.sync_state(), reading.steps());
-            for model in self.models.iter_mut().filter(|m| m.is_due(decoded.arrival)) {
+            let due = |model: &&mut ModelTopic| model.is_due(&reading, decoded.arrival);
+            for model in self.models.iter_mut().filter(due) {
                 let entry = model.entry(&reading, time, decoded.arrival);
                 inlet.put(entry, &mut self.report)?;
             }
@@ -349,7 +350,7 @@ impl CameraStream {
                 self.clock.estimate().map(Reading::Fitted)
             };
             if let Some(reading) = reading
-                && imu.model.is_due(arrival)
+                && imu.model.is_due(&reading, arrival)
             {
                 inlet.put(imu.model.entry(&reading, time, arrival), &mut self.report)?;
             }

@@ -1,5 +1,6 @@
 //! Capture files → Recording, through the functions used live.
 
+use std::collections::BTreeSet;
 use std::iter::Peekable;
 use std::net::IpAddr;
 use std::path::Path;
@@ -8,7 +9,7 @@ use std::time::Duration;
 use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
 use lsfb_geometry::{MAIN_LIDAR, Rig};
-use lsfb_recording::{RecordedPacket, Recording, lidar_position};
+use lsfb_recording::{Damage, RecordedPacket, Recording, lidar_position};
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig, check_device_names};
@@ -81,7 +82,8 @@ pub fn replay(
     import.finish(reports, told)
 }
 
-/// Records the LiDAR packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does: each topic of packets is a LiDAR.
+/// Records the LiDAR packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does: each topic of packets is a LiDAR. What is
+/// damaged is counted among what could not be read, and what lies behind it is read.
 pub fn replay_recording(
     path: &Path,
     config: &ReplayConfig,
@@ -107,6 +109,12 @@ pub fn replay_recording(
             positions: positions.into_iter().flatten().peekable(),
         });
     }
+    let mut damage = DamageFound::default();
+    if let Some(first) = streams.first_mut() {
+        for found in recording.damage().iter().filter(|damage| damage.is_loss()) {
+            damage.note(found, first);
+        }
+    }
     let rig = config.rig.clone().or_else(|| recording.rig().ok());
     let import = Import::begin(out, rig, &config.recorder)?;
     let (ending, told) = import.take_all(progress, |inlet| {
@@ -122,6 +130,14 @@ pub fn replay_recording(
                 Ok(()) => stream.mixture().map_or(Next::Taken, Next::Refused),
                 Err(WriterGone) => Next::Ended(Ending::Stopped),
             },
+            Some(Err(lsfb_recording::Error::Damaged { damage: found, .. })) => {
+                damage.note(&found, stream);
+                Next::Taken
+            }
+            Some(Err(error @ lsfb_recording::Error::Message { .. })) => {
+                stream.count_damage(error.to_string());
+                Next::Taken
+            }
             Some(Err(error)) => Next::Ended(Ending::Lost(error.to_string())),
             None => Next::Ended(Ending::EndOfStream),
         }
@@ -233,6 +249,18 @@ impl<'a> Import<'a> {
         let written = self.recorder.finish(&streams)?;
         told.inspect_err(|_| written.discard())?;
         Ok(written.report(self.out, streams))
+    }
+}
+
+/// Where a file is damaged: several topics have their messages in one chunk.
+#[derive(Default)]
+struct DamageFound(BTreeSet<u64>);
+
+impl DamageFound {
+    fn note(&mut self, found: &Damage, stream: &mut LidarStream) {
+        if self.0.insert(found.offset) {
+            stream.count_damage(format!("the file is damaged: {found}"));
+        }
     }
 }
 

@@ -7,6 +7,11 @@ use super::recorded::{ClockReport, DeviceClock};
 /// Standard deviation of a device's time beyond which it is worth a look, microseconds: half a millisecond moves an image by a
 /// quarter of a pixel while the rig turns at 1 rad/s (500 px of focal length).
 const GOOD_SIGMA_US: f64 = 500.0;
+/// Recorded stamps that lie further than this from the clock as it is estimated afterwards, after a straight line, are worth a look,
+/// milliseconds rms: what is fitted live differs by up to a millisecond where a link jitters by five.
+const GOOD_STAMPS_MS: f64 = 5.0;
+/// … and beyond this they are wrong: a degree of a turn at 1 rad/s.
+const WRONG_STAMPS_MS: f64 = 20.0;
 
 impl ClockReport {
     /// What was judged, in a few words.
@@ -83,5 +88,43 @@ fn judged(clock: &DeviceClock) -> Vec<Finding> {
         .value(worst_us, "µs")
         .limit(limit)
         .remedy("record longer, or synchronise the device by a pulse");
-    vec![step, sigma]
+    let mut findings = vec![step, sigma, recorded(clock)];
+    if clock.mode_changes > 0 {
+        let found = format!(
+            "locked for a part of the recording and fitted for another: changed {}",
+            match clock.mode_changes {
+                1 => "once".to_owned(),
+                n => format!("{n} times"),
+            }
+        );
+        let change = Finding::new("clock-changes", Verdict::Warn, &*clock.device, found)
+            .value(clock.mode_changes as f64, "")
+            .limit(Limit::AtMost(0.0));
+        findings.push(change.remedy("begin to record when the device is locked"));
+    }
+    findings
+}
+
+/// Whether the stamps that every later stage reads are those of the clock.
+fn recorded(clock: &DeviceClock) -> Finding {
+    let scatter_ms = clock.recorded_scatter_us / 1e3;
+    let limit_ms = match scatter_ms <= WRONG_STAMPS_MS {
+        true => GOOD_STAMPS_MS,
+        false => WRONG_STAMPS_MS,
+    };
+    let limit = Limit::AtMost(limit_ms);
+    let verdict = match (clock.epochs.is_empty(), limit.holds(scatter_ms)) {
+        (true, _) => Verdict::Unknown,
+        (false, true) => Verdict::Pass,
+        (false, false) if scatter_ms <= WRONG_STAMPS_MS => Verdict::Warn,
+        (false, false) => Verdict::Fail,
+    };
+    let found = match verdict {
+        Verdict::Unknown => "too few stamps to compare what was recorded".to_owned(),
+        _ => format!("its recorded stamps lie within {scatter_ms:.2} ms rms of the estimate"),
+    };
+    Finding::new("recorded-stamps", verdict, &*clock.device, found)
+        .value(scatter_ms, "ms")
+        .limit(limit)
+        .remedy("look at the plot where they leave it: a lock that came or went, a second that was named wrongly, a restart")
 }

@@ -15,6 +15,12 @@ pub(crate) const HOLDOVER: &str = "holdover";
 /// Kind of a model made of exchanges of times with the device.
 pub(crate) const EXCHANGED: &str = "exchanged";
 const FITTED: &str = "fitted";
+
+/// Whether a device of such a model names the second itself, or did until its pulse was lost.
+pub(crate) fn names_the_second(kind: &str) -> bool {
+    [LOCKED, HOLDOVER].contains(&kind)
+}
+
 /// What a quartz may have run away since.
 const HOLDOVER_SKEW: f64 = 20e-6;
 /// Spacing of the models.
@@ -52,6 +58,14 @@ impl Reading {
         epoch.saturating_sub(1)
     }
 
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Locked { .. } => LOCKED,
+            Self::Holdover { .. } => HOLDOVER,
+            Self::Fitted(_) => FITTED,
+        }
+    }
+
     /// The same for the operator.
     pub(crate) fn sync_state(&self) -> SyncState {
         match self {
@@ -74,7 +88,8 @@ pub(crate) struct ModelTopic {
     device: String,
     tick_ns: u64,
     period_ticks: u64,
-    last: Option<Timestamp>,
+    /// Arrival and kind of the last one.
+    last: Option<(Timestamp, &'static str)>,
 }
 
 impl ModelTopic {
@@ -88,10 +103,11 @@ impl ModelTopic {
         }
     }
 
-    /// Whether it is time for another, at `arrival`.
-    pub(crate) fn is_due(&self, arrival: Timestamp) -> bool {
-        self.last
-            .is_none_or(|last| (arrival - last).abs() >= PERIOD_NS)
+    /// Whether it is time for another, at `arrival`: a lock that is lost for less than a second is told too.
+    pub(crate) fn is_due(&self, reading: &Reading, arrival: Timestamp) -> bool {
+        self.last.is_none_or(|(last, kind)| {
+            kind != reading.kind() || (arrival - last).abs() >= PERIOD_NS
+        })
     }
 
     /// The model as an entry of the recording.
@@ -101,14 +117,14 @@ impl ModelTopic {
         time: Timestamp,
         arrival: Timestamp,
     ) -> Entry {
-        self.last = Some(arrival);
+        self.last = Some((arrival, reading.kind()));
         let model = match reading {
             Reading::Locked {
                 device_ns,
                 time,
                 epoch,
             } => ClockModel {
-                kind: LOCKED.to_owned(),
+                kind: reading.kind().to_owned(),
                 epoch: *epoch,
                 reference_device_ns: *device_ns,
                 reference_time_ns: time.nanos(),
@@ -121,7 +137,7 @@ impl ModelTopic {
                 since,
                 epoch,
             } => ClockModel {
-                kind: HOLDOVER.to_owned(),
+                kind: reading.kind().to_owned(),
                 epoch: *epoch,
                 reference_device_ns: *device_ns,
                 reference_time_ns: time.nanos(),
@@ -130,7 +146,7 @@ impl ModelTopic {
                 ..self.blank()
             },
             Reading::Fitted(estimate) => ClockModel {
-                kind: FITTED.to_owned(),
+                kind: reading.kind().to_owned(),
                 epoch: estimate.epoch,
                 reference_device_ns: estimate.reference_device_ns,
                 reference_time_ns: estimate.reference_time.nanos(),

@@ -1,4 +1,4 @@
-//! What the recorder thought of the devices' clocks: all along where everything is read, in the end otherwise.
+//! What the recorder thought of the devices' clocks: all along where everything is read, in the beginning and the end otherwise.
 
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, CdrMessage, Recording};
@@ -6,10 +6,30 @@ use lsfb_types::{Finding, Limit, Timestamp, Verdict};
 
 use super::{Depth, DoctorConfig, Findings};
 use crate::Error;
-use crate::clock::model_topic::{EXCHANGED, HOLDOVER, LOCKED};
+use crate::clock::model_topic::{EXCHANGED, HOLDOVER, LOCKED, names_the_second};
 
 /// Share of the recording in which a fitted clock may be less certain: it is when it begins.
 const BEGINNING: f64 = 0.2;
+/// Stamps that move by more where a clock is read in another way are wrong on one of the sides: a hundredth of a second is half a degree
+/// of a turn at 1 rad/s, and more than what moves arrivals of a device from second to second.
+const MOST_STEP_SECS: f64 = 0.01;
+
+/// What the recorder wrote of a clock, when it was so and when that arrived.
+struct Told {
+    time: Timestamp,
+    arrival: Timestamp,
+    model: ClockModel,
+}
+
+impl Told {
+    fn read(message: &CdrMessage) -> Option<Self> {
+        Some(Self {
+            time: message.time,
+            arrival: message.arrival,
+            model: message::decode_clock_model(&message.bytes).ok()?,
+        })
+    }
+}
 
 impl Findings {
     pub(super) fn clocks(
@@ -23,50 +43,96 @@ impl Findings {
             let messages: Vec<CdrMessage> = match config.read {
                 // What is damaged is said elsewhere.
                 Depth::Everything => recording.messages(topic)?.filter_map(Result::ok).collect(),
-                Depth::Indexes => recording.last_message(topic)?.into_iter().collect(),
+                Depth::Indexes => {
+                    let first = recording.messages(topic)?.next();
+                    let last = recording.last_message(topic)?;
+                    first.and_then(Result::ok).into_iter().chain(last).collect()
+                }
             };
             if messages.is_empty() {
                 continue;
             }
-            let decoded = messages
-                .iter()
-                .map(|m| Some((m.time, message::decode_clock_model(&m.bytes).ok()?)));
-            let models: Vec<(Timestamp, ClockModel)> = decoded.flatten().collect();
-            self.add(judge(device, &models, config));
+            let told: Vec<Told> = messages.iter().filter_map(Told::read).collect();
+            let judged = match config.read {
+                Depth::Everything => &told[..],
+                Depth::Indexes => &told[told.len().saturating_sub(1)..],
+            };
+            self.add(judge(device, judged, config));
+            self.0.extend(judge_changes(device, &told));
         }
         Ok(())
     }
 }
 
-/// The longest time for which a clock that names the second itself had lost its pulse, and by how much it may have been off then, seconds and nanoseconds.
-fn longest_holdover(models: &[(Timestamp, ClockModel)]) -> Option<(f64, f64)> {
-    let stretches = models.chunk_by(|a, b| a.1.kind == b.1.kind);
-    let stretches = stretches.filter_map(|stretch| {
-        let [(first, _), .., (last, model)] = stretch else {
-            return None;
-        };
-        (model.kind == HOLDOVER).then(|| (last.secs_since(*first), model.sigma_ns))
+/// Whether a clock was read in another way from some time on, and by how much its stamps moved then.
+fn judge_changes(device: &str, told: &[Told]) -> Option<Finding> {
+    let stretches: Vec<&[Told]> = told
+        .chunk_by(|a, b| names_the_second(&a.model.kind) == names_the_second(&b.model.kind))
+        .collect();
+    // Of each stretch the message that was on its way for the shortest time.
+    let ahead_secs = |stretch: &[Told]| {
+        let ahead = stretch.iter().map(|t| t.time.secs_since(t.arrival));
+        ahead.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let steps = stretches.windows(2).map(|pair| {
+        let step_secs = ahead_secs(pair[1]) - ahead_secs(pair[0]);
+        (&pair[0][0].model.kind, &pair[1][0].model.kind, step_secs)
     });
-    stretches.max_by(|a, b| a.0.total_cmp(&b.0))
+    let (before, after, step_secs) = steps.max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()))?;
+    let limit = Limit::AtMost(MOST_STEP_SECS);
+    let verdict = match limit.holds(step_secs.abs()) {
+        true => Verdict::Warn,
+        false => Verdict::Fail,
+    };
+    let found = format!(
+        "went from {before} to {after} on the way, where its stamps moved by {step_secs:+.3} s{}",
+        match stretches.len() {
+            2 => String::new(),
+            n => format!(", and {} changes in all", n - 1),
+        }
+    );
+    let finding = Finding::new("clock-changes", verdict, format!("clock {device}"), found)
+        .value(step_secs.abs(), "s")
+        .limit(limit);
+    Some(finding.remedy(
+        "begin to record when the device is locked, and keep this machine on UTC by chrony: stamps before and after do not fit together",
+    ))
 }
 
-fn judge(device: &str, models: &[(Timestamp, ClockModel)], config: &DoctorConfig) -> Finding {
+/// The longest time for which a clock that names the second itself had lost its pulse, and by how much it may have been off then, seconds and nanoseconds.
+fn longest_holdover(told: &[Told]) -> Option<(f64, f64)> {
+    let mut longest: Option<(f64, f64)> = None;
+    let mut from = 0;
+    for stretch in told.chunk_by(|a, b| a.model.kind == b.model.kind) {
+        let first = stretch.first()?;
+        let last = stretch.last()?;
+        from += stretch.len();
+        if first.model.kind != HOLDOVER {
+            continue;
+        }
+        // Until the next one says otherwise.
+        let end = told.get(from).unwrap_or(last);
+        let secs = end.time.secs_since(first.time);
+        if longest.is_none_or(|(longest_secs, _)| secs > longest_secs) {
+            longest = Some((secs, last.model.sigma_ns));
+        }
+    }
+    longest
+}
+
+fn judge(device: &str, told: &[Told], config: &DoctorConfig) -> Finding {
     let subject = format!("clock {device}");
     let finding = |verdict, found: String| Finding::new("clock", verdict, subject, found);
-    let Some((_, model)) = models.last() else {
+    let Some(Told { model, .. }) = told.last() else {
         let found = "what the recorder wrote of it cannot be read";
         return finding(Verdict::Unknown, found.to_owned());
     };
     // One message is the last, and says how it ended.
-    let when = match models {
+    let when = match told {
         [_] => " (at the end; --full looks at all of the recording)",
         _ => "",
     };
-    let epochs = models
-        .iter()
-        .map(|(_, model)| model.epoch)
-        .max()
-        .unwrap_or(1);
+    let epochs = told.iter().map(|t| t.model.epoch).max().unwrap_or(1);
     let pulse = "check the cable and the antenna of the GNSS receiver";
     if model.kind == HOLDOVER {
         let sigma_us = model.sigma_ns / 1e3;
@@ -74,10 +140,10 @@ fn judge(device: &str, models: &[(Timestamp, ClockModel)], config: &DoctorConfig
         let finding = finding(Verdict::Warn, found).value(sigma_us, "µs");
         return finding.remedy(pulse);
     }
-    if let Some((secs, sigma_ns)) = longest_holdover(models) {
+    if let Some((secs, sigma_ns)) = longest_holdover(told) {
         let sigma_us = sigma_ns / 1e3;
         let found = format!(
-            "lost its pulse for {secs:.0} s at a time and ran on its own quartz: within {sigma_us:.0} µs"
+            "lost its pulse for {secs:.1} s at a time and ran on its own quartz: within {sigma_us:.0} µs"
         );
         return finding(Verdict::Warn, found)
             .value(sigma_us, "µs")
@@ -93,7 +159,7 @@ fn judge(device: &str, models: &[(Timestamp, ClockModel)], config: &DoctorConfig
         );
         return finding(Verdict::Warn, found).remedy("see when and by how much with `lsfb clock`");
     }
-    let mut sigmas_us: Vec<f64> = models.iter().map(|(_, m)| m.sigma_ns / 1e3).collect();
+    let mut sigmas_us: Vec<f64> = told.iter().map(|t| t.model.sigma_ns / 1e3).collect();
     sigmas_us.sort_by(|a, b| b.total_cmp(a));
     let sigma_us = sigmas_us[(BEGINNING * sigmas_us.len() as f64) as usize];
     let by = match model.kind.as_str() {
@@ -102,7 +168,7 @@ fn judge(device: &str, models: &[(Timestamp, ClockModel)], config: &DoctorConfig
     };
     let found = format!(
         "{by}: σ {sigma_us:.1} µs{}{when}, skew {:.2} ± {:.2} ppm, {}",
-        match models {
+        match told {
             [_] => "",
             _ => " but for a fifth of the time",
         },
@@ -133,7 +199,7 @@ fn times(count: u32) -> String {
 mod tests {
     use super::*;
 
-    fn judged(kinds: &[(&str, f64)]) -> Finding {
+    fn told(kinds: &[(&str, f64)], late_ns: impl Fn(i64) -> i64) -> Vec<Told> {
         let models = (0..).zip(kinds).map(|(k, (kind, sigma_us))| {
             let model = ClockModel {
                 device: "lidar".to_owned(),
@@ -148,10 +214,18 @@ mod tests {
                 tick_ns: 1,
                 period_ticks: 0,
             };
-            (Timestamp::from_nanos(k * 1_000_000_000), model)
+            let time = Timestamp::from_nanos(k * 1_000_000_000);
+            Told {
+                time,
+                arrival: time.plus_nanos(late_ns(k)),
+                model,
+            }
         });
-        let models: Vec<_> = models.collect();
-        judge("lidar", &models, &DoctorConfig::default())
+        models.collect()
+    }
+
+    fn judged(kinds: &[(&str, f64)]) -> Finding {
+        judge("lidar", &told(kinds, |_| 0), &DoctorConfig::default())
     }
 
     #[test]
@@ -163,7 +237,11 @@ mod tests {
         roof[10..20].fill((HOLDOVER, 300.0));
         let found = judged(&roof);
         assert_eq!(found.verdict, Verdict::Warn);
-        assert!(found.what.contains("for 9 s at a time"), "{}", found.what);
+        assert!(
+            found.what.contains("for 10.0 s at a time"),
+            "{}",
+            found.what
+        );
         // Uncertain at first, as every fitted clock is; and for half of the time.
         let limit_us = DoctorConfig::default().warn_sigma_us;
         let mut fitted = [("fitted", 0.5 * limit_us); 30];
@@ -172,5 +250,38 @@ mod tests {
         fitted[..15].fill(("fitted", 50.0 * limit_us));
         assert_eq!(judged(&fitted).verdict, Verdict::Warn);
         assert_eq!(judged(&[]).verdict, Verdict::Unknown);
+    }
+
+    /// A lock that was lost for one message was none.
+    #[test]
+    fn a_short_holdover_is_told() {
+        let mut clock = [(LOCKED, 1.0); 30];
+        clock[12] = (HOLDOVER, 2.0);
+        let found = judged(&clock);
+        assert_eq!(found.verdict, Verdict::Warn);
+        assert!(found.what.contains("for 1.0 s at a time"), "{}", found.what);
+    }
+
+    /// The last model says "locked", and so it passed.
+    #[test]
+    fn a_clock_that_is_read_in_another_way_on_the_way_does_not_pass() {
+        let mut kinds = [("fitted", 20.0); 30];
+        kinds[10..].fill((LOCKED, 1.0));
+        let jitter = |k: i64| 300_000 + k % 3 * 2_000_000;
+        let found = judge_changes("lidar", &told(&kinds, jitter)).expect("a finding");
+        assert_eq!(found.verdict, Verdict::Warn, "{}", found.what);
+        let ahead = |k: i64| jitter(k) - if k < 10 { 0 } else { 400_000_000 };
+        let found = judge_changes("lidar", &told(&kinds, ahead)).expect("a finding");
+        assert_eq!(found.verdict, Verdict::Fail, "{}", found.what);
+        assert!(
+            found.what.contains("from fitted to locked"),
+            "{}",
+            found.what
+        );
+        assert!((found.value.unwrap_or_default() - 0.4).abs() < 1e-3);
+        // A pulse that is lost, and comes back, leaves the second as it is.
+        kinds.fill((LOCKED, 1.0));
+        kinds[10..20].fill((HOLDOVER, 300.0));
+        assert_eq!(judge_changes("lidar", &told(&kinds, jitter)), None);
     }
 }

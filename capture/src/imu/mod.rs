@@ -225,7 +225,7 @@ impl ImuStream {
                 meter.set_temperature(celsius);
             }
             if let Some(how) = how
-                && self.clock.model.is_due(reading.arrival)
+                && self.clock.model.is_due(&how, reading.arrival)
             {
                 meter.set_sync(how.sync_state(), how.steps());
                 let model = self.clock.model.entry(&how, time, reading.arrival);

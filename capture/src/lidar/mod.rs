@@ -153,6 +153,11 @@ impl LidarStream {
             return Ok(());
         }
         match position {
+            _ if self.decoder.is_beside(&packet.bytes) => {
+                self.meter.heard_part(POSITION, 1);
+                let time = packet.arrival;
+                self.put_beside(packet, time, inlet)
+            }
             Some(position) => self.position(position, packet, inlet),
             None => self.strange(packet, inlet),
         }
@@ -187,6 +192,15 @@ impl LidarStream {
         }
     }
 
+    /// Counts a part of a file that cannot be read.
+    pub(crate) fn count_damage(&mut self, what: String) {
+        self.report.bad += 1;
+        if self.report.notes.len() < MOST_NOTES {
+            self.report.notes.push(what.clone());
+        }
+        self.report.first_bad.get_or_insert(what);
+    }
+
     /// Data packets in the order in which they were sent.
     fn ordered(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
         if self.clock.is_decided() || self.held.len() >= HELD_PACKETS {
@@ -216,22 +230,30 @@ impl LidarStream {
         let mut time = packet.arrival;
         match position {
             Ok(position) => {
-                self.clock.fix(&PositionFix {
+                let fix = PositionFix {
                     toh_ns: position.toh_ns,
                     pps_locked: position.pps_locked,
                     sentence: position.sentence,
-                });
+                };
+                time = self.clock.fix(&fix, packet.arrival).unwrap_or(time);
                 if let Some(celsius) = position.temperature_celsius {
                     self.meter.set_temperature(celsius);
                 }
                 self.utc.note(&position, packet.arrival);
                 self.meter.set_utc(self.utc.problem());
-                if self.clock.is_locked() {
-                    time = self.clock.time(position.toh_ns, packet.arrival);
-                }
             }
             Err(error) => self.report.count_bad(error),
         }
+        self.put_beside(packet, time, inlet)
+    }
+
+    /// Records a packet beside the data as it came.
+    fn put_beside(
+        &mut self,
+        packet: Packet,
+        time: Timestamp,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
         let raw = Entry::Raw {
             source: lidar_position(&self.name),
             kind: 0,
@@ -252,6 +274,10 @@ impl LidarStream {
             }
             Err(error) => self.refused(&error),
         }
+        while let Some(scan) = self.decoder.ready() {
+            self.scan(scan, inlet)?;
+        }
+        // Scans above are of packets before this one, and of the clock as it was then.
         if let Some(toh_ns) = device_ns(&packet.bytes) {
             self.clock.observe(toh_ns, packet.arrival);
         }
@@ -326,7 +352,7 @@ impl LidarStream {
             (None, None) => None,
         };
         if let Some(reading) = reading
-            && self.model.is_due(scan.arrival)
+            && self.model.is_due(&reading, scan.arrival)
         {
             self.meter.set_sync(reading.sync_state(), reading.steps());
             let entry = self.model.entry(&reading, time, scan.arrival);

@@ -62,7 +62,11 @@ fn packets_in_mcap_files_become_the_same_recording() {
     const PACKETS: u64 = 1_000;
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let mut ours = Writer::create(&at("ours.mcap"), &WriterConfig::default()).unwrap();
+    let small = WriterConfig {
+        chunk_bytes: 100_000,
+        ..WriterConfig::default()
+    };
+    let mut ours = Writer::create(&at("ours.mcap"), &small).unwrap();
     let mut theirs = Writer::create(&at("theirs.mcap"), &WriterConfig::default()).unwrap();
     // Recordings of ours before the packets' own type.
     let mut older = Writer::create(&at("older.mcap"), &WriterConfig::default()).unwrap();
@@ -140,6 +144,32 @@ fn packets_in_mcap_files_become_the_same_recording() {
             250_000..356_000
         };
         assert!(expected.contains(&late_ns), "{name}: {late_ns}");
+    }
+    // A damaged chunk in the middle, and a file that was cut off, lack something, and what lies behind it is there.
+    let whole = std::fs::read(at("ours.mcap")).unwrap();
+    let mut damaged = whole.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle..middle + 50].fill(0x55);
+    let cut = &whole[..whole.len() * 2 / 3];
+    for (name, bytes) in [("damaged", &damaged[..]), ("cut", cut)] {
+        let path = at(&format!("{name}.mcap"));
+        std::fs::write(&path, bytes).unwrap();
+        let out = at(&format!("again-{name}.mcap"));
+        let report = replay_recording(&path, &ReplayConfig::default(), &out, &no_progress).unwrap();
+        let lidar = stream(&report, "lidar");
+        assert!(lidar.bad > 0 && report.lost > 0, "{name}: {report:?}");
+        let told = lidar.notes.iter().any(|note| note.contains("damaged"));
+        assert!(told, "{name}: {lidar:?}");
+        let again = Recording::open(&out).unwrap();
+        let packets = again.lidar_packets().unwrap().map(Result::unwrap);
+        let arrivals: Vec<_> = packets.map(|p| p.packet.arrival).collect();
+        let last = arrived(PACKETS - 1, Vec::new()).arrival;
+        assert!(arrivals.len() > 300, "{name}: {}", arrivals.len());
+        assert!(arrivals.len() < PACKETS as usize, "{name}");
+        assert_eq!(arrivals.last() == Some(&last), name == "damaged", "{name}");
+        if name == "damaged" {
+            assert!(lidar.missing > 0, "{lidar:?}");
+        }
     }
     let empty = at("empty.mcap");
     Writer::create(&empty, &WriterConfig::default())

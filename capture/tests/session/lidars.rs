@@ -1,6 +1,8 @@
 //! LiDARs recorded by name, datagrams that are lost or strange, and what an operator is told of sensors that are not as they seem.
 
 use lsfb_capture::health::{DeviceHealth, Level};
+use lsfb_capture::{Incoming, record_incoming};
+use lsfb_drivers::hesai;
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::PositionPacket;
 use lsfb_recording::HEALTH;
@@ -82,6 +84,54 @@ fn lidars_and_imus_are_recorded_by_name_and_strangers_kept_out() {
     }
     assert_eq!(recording.main_lidar(), "lidar");
     assert_eq!(recording.imu().unwrap().count(), 600);
+}
+
+/// What a Hesai sensor sends about its GPS input was counted among what could not be read.
+#[test]
+fn packets_about_the_gps_input_of_a_hesai_are_recorded_and_no_loss() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("scan.mcap");
+    let model = hesai::Model::Xt32;
+    let layout = model.layout();
+    let data = |n: u32| {
+        let mode = hesai::wire::ReturnMode::Strongest;
+        let mut packet =
+            hesai::wire::DataPacket::init(vec![0; layout.len + 4], model, mode).unwrap();
+        for block in 0..layout.blocks {
+            packet.set_azimuth_centideg(block, ((n as usize * 144 + block * 18) % 36_000) as u16);
+            packet.set_return(block, 0, 1_000, 20);
+        }
+        packet.set_clock(&hesai::wire::Clock {
+            date: [126, 3, 1],
+            time: [10, 0, (n / 2_500) as u8],
+            micros: n % 2_500 * 400,
+        });
+        packet.set_sequence(n);
+        packet.into_inner()
+    };
+    let mut beside = vec![0; 512];
+    beside[..2].copy_from_slice(&[0xFF, 0xEE]);
+    let packets = (0..5_000).flat_map(|n| {
+        let arrival = Timestamp::from_nanos(START_NS + i64::from(n) * 400_000);
+        let position = (n % 2_500 == 0).then(|| beside.clone());
+        let bytes = position.into_iter().chain([data(n)]);
+        bytes.map(move |bytes| Incoming::Lidar {
+            lidar: 0,
+            packet: Packet { arrival, bytes },
+        })
+    });
+    let config = DevicesConfig {
+        lidars: vec![LidarNetConfig::default()],
+        ..anywhere()
+    };
+    let report = record_incoming(packets, &config, &out, &no_progress).unwrap();
+    let lidar = stream(&report, "lidar");
+    assert_eq!((lidar.bad, lidar.missing), (0, 0), "{lidar:?}");
+    assert!(lidar.decoded >= 19, "{lidar:?}");
+    let recording = Recording::open(&out).unwrap();
+    let kept = recording.packets(LIDAR_POSITION).unwrap();
+    let kept: Vec<_> = kept.map(|p| p.unwrap().packet.bytes).collect();
+    assert_eq!(kept, [beside.clone(), beside]);
 }
 
 #[test]

@@ -48,6 +48,50 @@ fn post(rig: SocketAddr, path: &str, header: &str, body: &str) -> (u16, String) 
     (status.unwrap_or(0), said)
 }
 
+/// After ten seconds out of reach a session began anew, and what its app had numbered meanwhile was not missed.
+#[test]
+fn batches_of_an_app_that_was_out_of_reach_are_missed() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(SidecarConfig {
+            push_listen: Some(LOOPBACK),
+            ..mock::sidecar(folder.path())
+        }),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let rig = session.push_address().unwrap();
+    let pairing = PairingFolder::open(&folder.path().join("sidecar")).unwrap();
+    let key = to_hex(&pairing.invite_pusher("ada", PushUnits::Standard).unwrap().0);
+    let path = format!("/v1/push/ada/{key}");
+    let out = folder.path().join("walk.mcap");
+    let stop = AtomicBool::new(false);
+    let report = std::thread::scope(|scope| {
+        let running = std::thread::Builder::new()
+            .name("session".to_owned())
+            .spawn_scoped(scope, || session.run(&out, &until(&stop)).unwrap())
+            .unwrap();
+        let push = |number| post(rig, &path, "", &batch(number, "9.81")).0;
+        live::wait_until("it records", || push(0) == 200);
+        for number in 1..10 {
+            assert_eq!(push(number), 200);
+        }
+        std::thread::sleep(Duration::from_millis(10_800));
+        assert_eq!(push(9), 200, "stored before");
+        assert_eq!(push(60), 202, "waits for those before it");
+        std::thread::sleep(Duration::from_millis(2_600));
+        assert_eq!(push(61), 200);
+        stop.store(true, Ordering::Relaxed);
+        running.join().unwrap()
+    });
+    let phones = stream(&report, "sidecar");
+    assert_eq!((phones.missing, phones.bad), (50, 0), "{phones:?}");
+    assert!(report.lost >= 50, "{report:?}");
+    let recording = Recording::open(&out).unwrap();
+    let turns = recording.messages("/sidecar/ada/gyro_calibrated").unwrap();
+    assert_eq!(turns.count() as u64, 12 * IN_BATCH);
+}
+
 #[test]
 fn what_sensor_logger_pushes_is_recorded_once_in_order_and_counted() {
     let folder = tempfile::tempdir().unwrap();

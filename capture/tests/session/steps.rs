@@ -1,11 +1,11 @@
 //! A LiDAR whose clock is set while it is recorded: by whole seconds above all, as a wrong sentence sets it.
 
 use lsfb_capture::clock::{ClockConfig, estimate_clocks};
-use lsfb_capture::doctor::{DoctorConfig, examine};
+use lsfb_capture::doctor::{Depth, DoctorConfig, examine};
 use lsfb_capture::{Incoming, record_incoming};
 use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
 use lsfb_drivers::transport::uvc::FrameFormat;
-use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_drivers::velodyne::wire::{DataPacket, PositionPacket, PpsStatus};
 use lsfb_recording::CLOCK_MODELS;
 use lsfb_recording::message::decode_clock_model;
 use lsfb_types::Verdict;
@@ -129,6 +129,128 @@ fn a_locked_lidar_is_believed_and_its_steps_are_told() {
             scans += 1;
         }
         assert!(scans >= 20, "{step_us}: {scans}");
+    }
+}
+
+/// Its stamps were those of the second that its counter had been locked to: wrong by what the restart took, and "within a microsecond".
+#[test]
+fn a_lidar_that_is_restarted_is_locked_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("scan.mcap");
+    let packets = (0..PACKETS).flat_map(|n| {
+        let restarted = n >= STEP_AT;
+        let (since, begun_us) = if restarted {
+            (STEP_AT, 0)
+        } else {
+            (0, 10_000_000)
+        };
+        let counted = u32::try_from(begun_us + (n - since) * PERIOD_NS / 1_000).unwrap();
+        let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
+        data.set_timestamp_us(counted);
+        let position = (n % 14 == 0).then(|| {
+            let mut position = PositionPacket::new(mock::position_packet(counted)).unwrap();
+            if restarted {
+                position.set_pps_status(PpsStatus::Absent);
+            }
+            position.into_inner()
+        });
+        let bytes = position.into_iter().chain([data.into_inner()]);
+        bytes.map(move |bytes| Incoming::Lidar {
+            lidar: 0,
+            packet: Packet {
+                arrival: arrival(n),
+                bytes,
+            },
+        })
+    });
+    let config = DevicesConfig {
+        lidars: vec![LidarNetConfig::default()],
+        ..anywhere()
+    };
+    let report = record_incoming(packets, &config, &out, &no_progress).unwrap();
+    let lidar = stream(&report, "lidar");
+    for told in [
+        "1 times the PPS lock was lost",
+        "1 jumps of the sensor's clock",
+    ] {
+        assert!(lidar.notes.iter().any(|n| n == told), "{lidar:?}");
+    }
+    let recording = Recording::open(&out).unwrap();
+    for scan in recording.scans().unwrap() {
+        let scan = scan.unwrap();
+        let late_ns = scan.arrival - scan.time;
+        assert!(late_ns.abs() < 2_000_000, "{late_ns}");
+    }
+    let model = recording.last_message(&format!("{CLOCK_MODELS}lidar"));
+    let model = decode_clock_model(&model.unwrap().unwrap().bytes).unwrap();
+    assert_eq!((&*model.kind, model.epoch), ("fitted", 2));
+    let diagnosis = examine(&recording, &DoctorConfig::default(), &no_progress).unwrap();
+    let finding = |code| {
+        diagnosis
+            .judgement
+            .findings()
+            .iter()
+            .find(move |f| f.code == code)
+    };
+    assert_eq!(finding("clock-changes").unwrap().verdict, Verdict::Warn);
+    let clocks = estimate_clocks(&recording, &ClockConfig::default(), &no_progress).unwrap();
+    assert_eq!(clocks.devices[0].mode_changes, 1);
+}
+
+/// The recorder stamped by arrival until the pulse came, and this machine's clock was 0.4 s off: both the doctor and the clocks passed.
+#[test]
+fn a_lidar_that_locks_to_another_time_on_the_way_does_not_pass() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, off_us, verdict) in [("same", 0, Verdict::Warn), ("off", 400_000, Verdict::Fail)] {
+        let out = folder.path().join(format!("{name}.mcap"));
+        let packets = (0..PACKETS).flat_map(|n| {
+            let locked = n >= STEP_AT;
+            let free_us = 900_000_000;
+            let begun_us = if locked { 10_000_000 + off_us } else { free_us };
+            let counted = u32::try_from(begun_us + n * PERIOD_NS / 1_000).unwrap();
+            let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
+            data.set_timestamp_us(counted);
+            let position = (n % 14 == 0).then(|| {
+                let mut position = PositionPacket::new(mock::position_packet(counted)).unwrap();
+                if !locked {
+                    position.set_pps_status(PpsStatus::Absent);
+                }
+                position.into_inner()
+            });
+            let bytes = position.into_iter().chain([data.into_inner()]);
+            bytes.map(move |bytes| Incoming::Lidar {
+                lidar: 0,
+                packet: Packet {
+                    arrival: arrival(n),
+                    bytes,
+                },
+            })
+        });
+        let config = DevicesConfig {
+            lidars: vec![LidarNetConfig::default()],
+            ..anywhere()
+        };
+        record_incoming(packets, &config, &out, &no_progress).unwrap();
+        let recording = Recording::open(&out).unwrap();
+        for read in [Depth::Indexes, Depth::Everything] {
+            let config = DoctorConfig {
+                read,
+                ..DoctorConfig::default()
+            };
+            let diagnosis = examine(&recording, &config, &no_progress).unwrap();
+            let mut findings = diagnosis.judgement.findings().iter();
+            let found = findings.find(|f| f.code == "clock-changes").unwrap();
+            assert_eq!(found.verdict, verdict, "{name}: {found:?}");
+        }
+        let clocks = estimate_clocks(&recording, &ClockConfig::default(), &no_progress).unwrap();
+        let judgement = clocks.judgement();
+        let mut findings = judgement.findings().iter();
+        let found = findings.find(|f| f.code == "recorded-stamps").unwrap();
+        let expected = match verdict {
+            Verdict::Warn => Verdict::Pass,
+            other => other,
+        };
+        assert_eq!(found.verdict, expected, "{name}: {found:?}");
     }
 }
 

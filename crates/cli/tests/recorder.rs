@@ -97,6 +97,17 @@ fn the_doctor_judges_and_recover_makes_whole() {
     let again = lsfb(folder.path(), &recover);
     assert_eq!(again.status.code(), Some(1), "{again:?}");
     assert!(String::from_utf8_lossy(&again.stderr).contains("exists already"));
+    // What stands is replaced by what was recovered, and by nothing else.
+    let saved = std::fs::read(path("saved.mcap")).expect("recording");
+    std::fs::write(path("other.mcap"), "no recording").expect("file");
+    for (from, code) in [("other.mcap", 1), ("absent.mcap", 1), ("torn.mcap", 3)] {
+        let recover = ["recover", from, "--out", "saved.mcap", "--force"];
+        let output = lsfb(folder.path(), &recover);
+        assert_eq!(output.status.code(), Some(code), "{from}: {output:?}");
+        let left = std::fs::read(path("saved.mcap")).expect("what was there");
+        assert_eq!(left, saved, "{from}");
+        assert!(!path("saved.mcap.new").exists(), "{from}");
+    }
     let output = lsfb(folder.path(), &["doctor", "saved.mcap", "--full"]);
     // Whole, but its recorder never said what it lost.
     assert_eq!(output.status.code(), Some(0), "{output:?}");

@@ -171,6 +171,16 @@ pub struct Damage {
     pub reason: String,
 }
 
+impl Damage {
+    /// Whether something is missing: an index that was rebuilt from the data lacks none of them.
+    pub fn is_loss(&self) -> bool {
+        self.bytes > 0 || !self.reason.contains(INDEX_REBUILT)
+    }
+}
+
+/// How the reason begins where the index alone was damaged.
+pub(crate) const INDEX_REBUILT: &str = "the index was rebuilt from the data";
+
 impl std::fmt::Display for Damage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(

@@ -7,6 +7,7 @@ use std::rc::Rc;
 use lsfb_types::Stamped;
 
 use crate::cdr::CdrError;
+use crate::container::chunk::RECORDS_BROKEN;
 use crate::container::chunk_cache::ChunkCache;
 use crate::container::index::Index;
 use crate::container::record::{self, MessageRecord, opcode, timestamp};
@@ -130,7 +131,7 @@ impl<'a> MessageIter<'a> {
             let mut records = rest;
             let Some((opcode, body)) = record::next_record(&mut records) else {
                 let lost = rest.len() as u64;
-                let reason = "records inside a chunk are broken".to_owned();
+                let reason = RECORDS_BROKEN.to_owned();
                 self.records = Rc::default();
                 return Some(Err(self.source.damaged(
                     self.chunk_offset,

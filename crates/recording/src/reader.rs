@@ -80,9 +80,18 @@ impl Recording {
         })
     }
 
-    /// Reads every chunk, on all cores, and says everything that is missing, in the order of the file.
+    /// Reads every chunk and walks its records, on all cores, and says everything that is missing, in the order of the file.
     pub fn verify(&self, progress: ProgressFn<'_>) -> Result<Vec<Damage>, Error> {
         verify::all(&self.source, &self.index, progress)
+    }
+
+    /// How many of its chunks have no checksum: of these nobody can tell whether the bytes of a message are those that were written.
+    pub fn chunks_without_checksum(&self) -> Result<u64, Error> {
+        let mut without = 0;
+        for entry in &self.index.chunks {
+            without += u64::from(!chunk::has_checksum(&self.source, entry)?);
+        }
+        Ok(without)
     }
 
     /// When the messages of each topic arrived, from the indices alone: fast whatever the size of the file. Chunks without

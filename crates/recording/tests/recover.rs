@@ -173,6 +173,66 @@ fn a_recording_whose_header_is_damaged_becomes_whole() {
 }
 
 /// What was no recording does not become one.
+/// Without a checksum nothing but its records tells that a chunk is broken inside; naively it is copied and called whole.
+#[test]
+fn a_chunk_without_checksum_that_is_broken_inside_is_named_and_its_beginning_saved() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bytes = whole(dir.path(), Compression::None);
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let mut chunks: Vec<usize> = summary
+        .chunk_indexes
+        .iter()
+        .map(|chunk| chunk.chunk_start_offset as usize)
+        .collect();
+    chunks.sort_unstable();
+    // Kind, length, two times, length unpacked: then the checksum.
+    for chunk in &chunks {
+        bytes[chunk + 33..chunk + 37].fill(0);
+    }
+    let unchecked = Recording::open(&put(dir.path(), &bytes)).unwrap();
+    assert_eq!(unchecked.verify(&no_progress).unwrap(), []);
+    assert_eq!(
+        unchecked.chunks_without_checksum().unwrap(),
+        chunks.len() as u64
+    );
+
+    // The length of a record in the middle of the third chunk; before its records stand the name of no compression, and their length.
+    let length_at = |at: usize| u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap());
+    let start = chunks[2];
+    let end = start + 9 + length_at(start) as usize;
+    let mut at = start + 49;
+    while at < (start + end) / 2 {
+        at += 9 + length_at(at) as usize;
+    }
+    bytes[at + 8] = 0x7f;
+    let path = put(dir.path(), &bytes);
+    let damage = Recording::open(&path)
+        .unwrap()
+        .verify(&no_progress)
+        .unwrap();
+    let [broken] = &damage[..] else {
+        panic!("{damage:?}");
+    };
+    assert_eq!(
+        (broken.offset, broken.bytes),
+        (start as u64, (end - at) as u64)
+    );
+    let out = dir.path().join("recovered.mcap");
+    let recovered = recover(&path, &out, &no_progress).unwrap();
+    let [broken] = &recovered.damage[..] else {
+        panic!("{:?}", recovered.damage);
+    };
+    assert!(broken.reason.contains("records inside a chunk are broken"));
+    assert!(recovered.salvaged_messages > 0, "{recovered:?}");
+    let left = numbers(&out);
+    let (third, rest) = (2 * PER_CHUNK..3 * PER_CHUNK, left.len() as u32);
+    assert!(
+        (SAMPLES - PER_CHUNK + 5..SAMPLES - 5).contains(&rest),
+        "{left:?}"
+    );
+    assert!((0..SAMPLES).all(|n| left.contains(&n) || third.contains(&n)));
+}
+
 #[test]
 fn a_file_of_another_kind_is_not_recovered() {
     let dir = tempfile::tempdir().unwrap();

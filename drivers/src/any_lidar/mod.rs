@@ -1,7 +1,7 @@
 //! One decoder for whatever LiDAR sends.
 //!
 //! A new LiDAR is a folder like `hesai/` and a line in the list at the end of `lidars!`. Its module offers the same names as
-//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `recognise`, `device_ns` and `position`.
+//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `recognise`, `is_beside`, `device_ns` and `position`.
 //!
 //! ```
 //! use lsfb_drivers::any_lidar::{Decoder, Settings};
@@ -153,6 +153,15 @@ macro_rules! lidars {
                 }
             }
 
+            fn ready(&mut self) -> Option<Decoded<LidarScan>> {
+                match self {
+                    $(
+                        #[cfg(feature = $feature)]
+                        Self::$Lidar(decoder) => decoder.ready(),
+                    )+
+                }
+            }
+
             fn finish(&mut self) -> Option<Decoded<LidarScan>> {
                 match self {
                     $(
@@ -204,6 +213,17 @@ macro_rules! lidars {
             }
         }
 
+        /// Whether a datagram is one beside the data that is recorded and not read, whichever LiDAR's it is.
+        fn is_beside(bytes: &[u8]) -> bool {
+            $(
+                #[cfg(feature = $feature)]
+                if crate::$module::is_beside(bytes) {
+                    return true;
+                }
+            )+
+            false
+        }
+
         /// Time of a data packet past the sensor's hour, nanoseconds; `None` where it is no data packet of a known LiDAR.
         pub fn device_ns(bytes: &[u8]) -> Option<i64> {
             $(
@@ -251,7 +271,9 @@ pub fn whose(bytes: &[u8]) -> Option<&'static str> {
 
 /// Whether a datagram is one that a LiDAR sends, by its content and not by its length alone.
 pub fn is_of_a_lidar(bytes: &[u8]) -> bool {
-    device_ns(bytes).is_some() || matches!(any_position(bytes, Timestamp::default()), Some(Ok(_)))
+    device_ns(bytes).is_some()
+        || is_beside(bytes)
+        || matches!(any_position(bytes, Timestamp::default()), Some(Ok(_)))
 }
 
 impl Model {
@@ -309,6 +331,11 @@ impl Decoder {
         }
     }
 
+    /// Another scan that the last packet completed: one that ends two of them returns the first.
+    pub fn ready(&mut self) -> Option<Decoded<LidarScan>> {
+        self.unit.as_mut()?.ready()
+    }
+
     /// Ends the stream: what is left, one scan per call, until `None`.
     pub fn finish(&mut self) -> Option<Decoded<LidarScan>> {
         self.unit.as_mut()?.finish()
@@ -330,6 +357,11 @@ impl Decoder {
             Some(unit) => unit.recognises(bytes),
             None => maker(bytes).is_some(),
         }
+    }
+
+    /// Whether a datagram is one beside the data that is recorded and not read.
+    pub fn is_beside(&self, bytes: &[u8]) -> bool {
+        is_beside(bytes)
     }
 
     /// What a packet beside the data says; `None` where it is no such packet of this sensor.

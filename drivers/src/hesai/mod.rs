@@ -24,6 +24,6 @@ mod device;
 pub mod model;
 pub mod wire;
 
-pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, position, recognise};
+pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, is_beside, position, recognise};
 pub use device::{HesaiConfig, open};
 pub use model::Model;

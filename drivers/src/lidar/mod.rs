@@ -9,7 +9,8 @@ use lsfb_types::Timestamp;
 
 pub use angles::{AnglesError, BeamAngles};
 pub use azimuths::{Azimuths, SECTORS};
-pub(crate) use order::{Instants, LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
+pub use order::Instants;
+pub(crate) use order::{LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
 pub(crate) use scan_builder::ScanBuilder;

@@ -12,11 +12,19 @@ pub(crate) const MOST_LATE: u32 = 8;
 const CLOCK_JUMP_NS: i64 = 500_000_000;
 
 /// When a packet was sent, and when it came.
-#[derive(Clone, Copy)]
-pub(crate) struct Instants {
-    /// Past the sensor's hour.
+#[derive(Clone, Copy, Debug)]
+pub struct Instants {
+    /// Past the sensor's hour, nanoseconds.
     pub toh_ns: i64,
+    /// On the host's clock.
     pub arrival: Timestamp,
+}
+
+impl Instants {
+    /// Whether the sensor's clock was set, or began anew, before it sent `next`.
+    pub fn is_set_before(self, next: Self) -> bool {
+        matches!(step(self, next), Step::ClockJump)
+    }
 }
 
 /// What the time between two packets says.

@@ -159,7 +159,18 @@ impl PacketLayout {
         self.packet_period_ns() + self.pause_ns
     }
 
-    /// Whether the rotor went on into `next` as it did inside this packet, so that nothing can be missing between.
+    /// Time that the rotor needs for an angle at the pace of this packet, nanoseconds.
+    pub(super) fn time_to_turn_ns(&self, centideg: u16) -> i64 {
+        let steps = &self.step_centideg[..self.groups()];
+        let mean = steps.iter().map(|step| f64::from(*step)).sum::<f64>() / steps.len() as f64;
+        let period = f64::from(self.model.table().block_period_ns);
+        match mean > 0.0 {
+            true => (f64::from(centideg) / mean * period) as i64,
+            false => 0,
+        }
+    }
+
+    /// Whether the rotor went on into `next` as it did inside this packet, so that nothing but whole turns can be missing between.
     pub(super) fn reaches(&self, next: &Self) -> bool {
         let moved = f32::from(turn(self.last_azimuth(), next.first_azimuth()));
         let pace = self.step_centideg[self.groups() - 1];

@@ -27,7 +27,7 @@ mod web;
 pub mod wire;
 
 pub use decode::{
-    DecodeError, Decoder, DecoderConfig, ModelChoice, device_ns, position, recognise,
+    DecodeError, Decoder, DecoderConfig, ModelChoice, device_ns, is_beside, position, recognise,
 };
 pub use device::{VelodyneConfig, open};
 pub use layout::{PacketLayout, Return, returns};

@@ -11,7 +11,7 @@ use lsfb_recording::{CLOCK_MODELS, Recording};
 use lsfb_types::{Bounds, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use super::model_topic::{HOLDOVER, LOCKED};
+use super::model_topic::names_the_second;
 use super::{OneWayClock, fit_pairs};
 use crate::Error;
 pub use exchanged::{Exchange, ExchangedClock, ExchangedTime, StampOrder};
@@ -92,6 +92,10 @@ pub struct DeviceClock {
     pub delay_p99_ms: f64,
     /// Recorded synchronized time against the estimate, rms after its mean, microseconds.
     pub recorded_rms_us: f64,
+    /// The same after a straight line, which a host whose clock has a rate of its own explains, microseconds.
+    pub recorded_scatter_us: f64,
+    /// How often its stamps were made in another way from then on: locked where they had been fitted, or fitted where they had been locked.
+    pub mode_changes: u64,
     /// Mean of that: for a locked device the constant transport delay, with the opposite sign.
     pub recorded_mean_us: f64,
     /// Thinned, in order of time.
@@ -136,14 +140,21 @@ pub fn estimate_clocks(
             done: done as u64,
             total: sources.len() as u64,
         })?;
-        let model = models.iter().rev().find(|m| m.device == source.name());
+        let device = source.name();
+        let own: Vec<&ClockModel> = models.iter().filter(|m| m.device == device).collect();
+        let model = own.last().copied();
+        let mode_changes = own
+            .windows(2)
+            .filter(|pair| names_the_second(&pair[0].kind) != names_the_second(&pair[1].kind))
+            .count() as u64;
         let triples = source.triples(recording, model)?;
         if triples.len() < 3 {
             continue;
         }
         let counter = Counter {
-            device: source.name(),
-            locked: model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind)),
+            device,
+            locked: model.is_some_and(|model| names_the_second(&model.kind)),
+            mode_changes,
             tick_ns: source.tick_ns(model),
         };
         counted.push((counter, triples));
@@ -188,6 +199,7 @@ fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {
 struct Counter {
     device: String,
     locked: bool,
+    mode_changes: u64,
     tick_ns: u64,
 }
 
@@ -255,7 +267,7 @@ fn summarize(
             f64::NAN
         };
         if known {
-            recorded_us.push(difference_us);
+            recorded_us.push([triple.arrival.secs_since(start), difference_us]);
         }
         samples.push(ResidualSample {
             secs: triple.arrival.secs_since(start),
@@ -273,8 +285,21 @@ fn summarize(
             .unwrap_or(0.0)
     };
     let count = recorded_us.len().max(1) as f64;
-    let mean = recorded_us.iter().sum::<f64>() / count;
-    let variance = recorded_us.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / count;
+    let [mean_secs, mean] = [0, 1].map(|k| recorded_us.iter().map(|p| p[k]).sum::<f64>() / count);
+    let moment = |of: &dyn Fn(f64, f64) -> f64| {
+        let moments = recorded_us.iter();
+        moments
+            .map(|[t, d]| of(t - mean_secs, d - mean))
+            .sum::<f64>()
+            / count
+    };
+    let variance = moment(&|_, d| d * d);
+    let (spread, shared) = (moment(&|t, _| t * t), moment(&|t, d| t * d));
+    let explained = if spread > 0.0 {
+        shared * shared / spread
+    } else {
+        0.0
+    };
     let stride = samples.len().div_ceil(PLOTTED).max(1);
     DeviceClock {
         device: counter.device,
@@ -284,6 +309,8 @@ fn summarize(
         delay_p50_ms: quantile(0.5),
         delay_p99_ms: quantile(0.99),
         recorded_rms_us: variance.sqrt(),
+        recorded_scatter_us: (variance - explained).max(0.0).sqrt(),
+        mode_changes: counter.mode_changes,
         recorded_mean_us: mean,
         samples: samples.into_iter().step_by(stride).collect(),
     }

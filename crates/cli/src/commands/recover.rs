@@ -8,7 +8,6 @@ use lsfb_recording::recover;
 use serde::Serialize;
 
 use crate::context::Context;
-use crate::files::is_same;
 use crate::outcome::Outcome;
 
 /// Recover a damaged or interrupted recording: copy what can be read into a new file with a new index.
@@ -41,14 +40,22 @@ struct Report {
 
 /// Recovers, prints what is missing.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    context.claim(&arguments.out, &[])?;
-    if arguments.out.is_file() && !is_same(&arguments.recording, &arguments.out) {
-        std::fs::remove_file(&arguments.out)
-            .with_context(|| arguments.out.display().to_string())?;
+    let out = &arguments.out;
+    context.claim(out, &[&arguments.recording])?;
+    // What is there stays until there is something in its place.
+    let made = match out.is_file() {
+        true => out.with_added_extension("new"),
+        false => out.clone(),
+    };
+    if made != *out && made.is_file() {
+        std::fs::remove_file(&made).with_context(|| made.display().to_string())?;
     }
-    let recovered = recover(&arguments.recording, &arguments.out, &|p| context.show(p))?;
+    let recovered = recover(&arguments.recording, &made, &|p| context.show(p))?;
+    if made != *out {
+        std::fs::rename(&made, out).with_context(|| out.display().to_string())?;
+    }
     let report = Report {
-        path: recovered.path,
+        path: out.clone(),
         bytes: recovered.bytes,
         messages: recovered.messages,
         salvaged_messages: recovered.salvaged_messages,

@@ -21,7 +21,7 @@ use lsfb_types::{Image, Packet};
 use crate::Error;
 use file::unreadable;
 pub use frames::pose_in;
-use part::{Part, parts_of};
+use part::{Part, missing_parts, parts_of};
 use taken::lidar_messages;
 pub use taken::{BagImu, LidarMessages, LidarTopic, Unread};
 
@@ -38,6 +38,8 @@ const TF_STATIC: &str = "/tf_static";
 pub struct RosBag {
     path: PathBuf,
     parts: Vec<Part>,
+    /// What the folder says of parts that are not there.
+    missing: Vec<String>,
     /// Type of the messages of each topic.
     topics: BTreeMap<String, String>,
 }
@@ -63,6 +65,10 @@ impl RosBag {
         };
         let mut bag = Self {
             path: path.to_owned(),
+            missing: match path.is_dir() {
+                true => missing_parts(path, &parts),
+                false => Vec::new(),
+            },
             parts: Vec::with_capacity(parts.len()),
             topics: BTreeMap::new(),
         };
@@ -74,9 +80,13 @@ impl RosBag {
         Ok(bag)
     }
 
-    /// What is missing from files of ROS 2 that end early or are torn; damage in others is noted beside the messages that it costs.
+    /// What is missing from files that end early or are torn, and which files are not there; other damage is noted beside the messages
+    /// that it costs.
     pub fn damage(&self) -> Vec<String> {
-        self.parts.iter().flat_map(Part::damage).collect()
+        let missing = self.missing.iter().cloned();
+        missing
+            .chain(self.parts.iter().flat_map(Part::damage))
+            .collect()
     }
 
     /// Whether it has messages of that topic.

@@ -35,7 +35,8 @@ impl Part {
                 let damage = recording.damage().iter();
                 damage.map(|d| format!("{name}: {d}")).collect()
             }
-            Self::Ros1(_) | Self::Sqlite(_) => Vec::new(),
+            Self::Ros1(bag) => bag.damage().map(str::to_owned).into_iter().collect(),
+            Self::Sqlite(_) => Vec::new(),
         }
     }
 
@@ -109,6 +110,32 @@ pub(super) fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
         return Err(unreadable(folder, "no .mcap or .db3 in this folder"));
     }
     Ok(parts.into_iter().map(|(_, path)| path).collect())
+}
+
+/// Parts that the `metadata.yaml` of a rosbag2 folder names and that are not among `parts`. Without that file nobody named any.
+pub(super) fn missing_parts(folder: &Path, parts: &[PathBuf]) -> Vec<String> {
+    let described = folder.join("metadata.yaml");
+    let Ok(text) = std::fs::read_to_string(&described) else {
+        return Vec::new();
+    };
+    let lines = text.lines().map(str::trim);
+    let listed = lines
+        .skip_while(|line| *line != "relative_file_paths:")
+        .skip(1)
+        .map_while(|line| line.strip_prefix("- "));
+    let name_of = |path: &str| {
+        let path = path.trim().trim_matches(['"', '\'']);
+        // Older versions wrote the folder before it, and those that pack files name them packed.
+        let name = path.rsplit('/').next().unwrap_or(path);
+        name.strip_suffix(".zstd").unwrap_or(name).to_owned()
+    };
+    let is_there = |name: &String| {
+        let mut names = parts.iter().filter_map(|part| part.file_name());
+        names.any(|part| part.to_str() == Some(name.as_str()))
+    };
+    let missing = listed.map(name_of).filter(|name| !is_there(name));
+    let said = |name| format!("{} names {name}, which is not there", described.display());
+    missing.map(said).collect()
 }
 
 /// Whether a file is a part of a bag of ROS 2 by its name.

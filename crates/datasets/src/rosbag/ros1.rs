@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::file::{Visit, unreadable};
@@ -13,6 +13,7 @@ use crate::Error;
 const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Kinds of records.
 const MESSAGE: u8 = 2;
+const BAG_HEADER: u8 = 3;
 const CHUNK: u8 = 5;
 const CONNECTION: u8 = 7;
 /// Longest header and data that are believed, bytes.
@@ -26,6 +27,58 @@ pub(super) struct Bag {
     path: PathBuf,
     /// By number: topic and type.
     connections: BTreeMap<u32, (String, String)>,
+    damage: Option<String>,
+}
+
+/// What the first record of a bag announces, and what there is of it.
+#[derive(Default)]
+struct Extent {
+    /// Where the index begins: 0 in a bag that was not closed.
+    index_pos: Option<u64>,
+    announced_chunks: Option<u32>,
+    chunks: u32,
+}
+
+impl Extent {
+    fn note(&mut self, record: &Record<'_>) {
+        match record.kind {
+            BAG_HEADER => {
+                let index_pos = record.field("index_pos").ok();
+                let index_pos = index_pos.and_then(|bytes| bytes.try_into().ok());
+                self.index_pos = index_pos.map(u64::from_le_bytes);
+                self.announced_chunks = record.u32("chunk_count").ok();
+            }
+            CHUNK => self.chunks += 1,
+            _ => {}
+        }
+    }
+
+    /// What is missing from a file of so many bytes.
+    fn missing(&self, end: End, bytes: u64) -> Option<String> {
+        let of = |chunks: u32| match self.announced_chunks {
+            Some(announced) if announced > 0 => format!("{chunks} of {announced} chunks"),
+            _ => format!("{chunks} chunks"),
+        };
+        let is_short = self.announced_chunks.is_some_and(|all| all > self.chunks);
+        if self.index_pos == Some(0) {
+            let found =
+                "the bag was not closed and has no index: what its recorder held back is not in it";
+            Some(format!("{found}; {} are read", of(self.chunks)))
+        } else if end == End::Torn || is_short || self.index_pos.is_some_and(|at| at > bytes) {
+            Some(format!("the bag is cut off: {} are there", of(self.chunks)))
+        } else {
+            None
+        }
+    }
+}
+
+/// How a file ends.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// Behind a record.
+    Whole,
+    /// Within one.
+    Torn,
 }
 
 impl Bag {
@@ -34,10 +87,15 @@ impl Bag {
         let mut bag = Self {
             path: path.to_owned(),
             connections: BTreeMap::new(),
+            damage: None,
         };
+        let mut extent = Extent::default();
         let mut connections = BTreeMap::new();
         let mut damage = None;
-        bag.read(&mut |record| {
+        let end = bag.read(&mut |record| {
+            if let Ok(record) = record {
+                extent.note(record);
+            }
             match record {
                 Ok(record) if record.kind == CONNECTION => {
                     let (id, connection) = record.connection()?;
@@ -53,7 +111,15 @@ impl Bag {
             return Err(unreadable(path, problem));
         }
         bag.connections = connections;
+        let bytes = std::fs::metadata(path).map_or(u64::MAX, |file| file.len());
+        let missing = extent.missing(end, bytes);
+        bag.damage = missing.map(|missing| format!("{}: {missing}", path.display()));
         Ok(bag)
+    }
+
+    /// What is missing, where it was not closed or was cut off.
+    pub fn damage(&self) -> Option<&str> {
+        self.damage.as_deref()
     }
 
     pub fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
@@ -77,11 +143,12 @@ impl Bag {
                 Some((of, _)) if of == topic => each(Ok(record.data)),
                 _ => Ok(()),
             }
-        })
+        })?;
+        Ok(())
     }
 
-    /// Gives every record, those of chunks too, and instead of chunks that are damaged what is wrong with them.
-    fn read(&self, each: Each<'_>) -> Result<(), Error> {
+    /// Gives every record, chunks before those in them, and instead of chunks that are damaged what is wrong with them.
+    fn read(&self, each: Each<'_>) -> Result<End, Error> {
         let io = |source| Error::Io {
             path: self.path.clone(),
             source,
@@ -94,14 +161,18 @@ impl Bag {
             return Err(wrong("no ROS bag of version 2.0".to_owned()));
         }
         loop {
-            let Some(header) = block(&mut file, LONGEST_HEADER).map_err(wrong)? else {
-                return Ok(());
-            };
+            if file.fill_buf().map_err(io)?.is_empty() {
+                return Ok(End::Whole);
+            }
             // A bag that was not closed ends anywhere: what is whole before was read.
+            let Some(header) = block(&mut file, LONGEST_HEADER).map_err(wrong)? else {
+                return Ok(End::Torn);
+            };
             let Some(data) = block(&mut file, LONGEST_DATA).map_err(wrong)? else {
-                return Ok(());
+                return Ok(End::Torn);
             };
             let record = Record::new(&header, &data).map_err(wrong)?;
+            each(Ok(&record)).map_err(wrong)?;
             if record.kind == CHUNK {
                 let unpacked = match record.unpack() {
                     Ok(unpacked) => unpacked,
@@ -124,8 +195,6 @@ impl Bag {
                         }
                     }
                 }
-            } else {
-                each(Ok(&record)).map_err(wrong)?;
             }
         }
     }

@@ -343,6 +343,60 @@ fn a_damaged_message_and_a_damaged_chunk_cost_no_other_message_and_are_counted()
     assert_eq!((unread.expect("read"), clouds), (Unread::default(), 1));
 }
 
+/// A bag as `rosbag record` closes it, but for the connections of its index; `index_pos` as its first record has it.
+fn closed_ros1(mut index_pos: impl FnMut(u64) -> u64) -> Vec<u8> {
+    let of_one = ros1("lz4");
+    let start = 13 + record(&[("op", &[3])], &[b' '; 16]).len();
+    let chunk = &of_one[start..];
+    let head = |index_pos: u64| {
+        let fields: [(&str, &[u8]); 4] = [
+            ("op", &[3]),
+            ("index_pos", &index_pos.to_le_bytes()),
+            ("conn_count", &5_u32.to_le_bytes()),
+            ("chunk_count", &2_u32.to_le_bytes()),
+        ];
+        [b"#ROSBAG V2.0\n", record(&fields, &[b' '; 16]).as_slice()].concat()
+    };
+    let at = (head(0).len() + 2 * chunk.len()) as u64;
+    let index = record(&[("op", &[6]), ("ver", &1_u32.to_le_bytes())], &[0; 8]);
+    [&head(index_pos(at)), chunk, chunk, &index].concat()
+}
+
+/// Naively what can be read is all there was.
+#[test]
+fn a_bag_of_ros_1_that_is_cut_or_was_not_closed_lacks_something() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.bag");
+    let whole = closed_ros1(|at| at);
+    let damage = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).expect("bag");
+        let bag = RosBag::open(&path).expect("a bag");
+        let samples = bag.imu(None).expect("samples").samples.len();
+        (bag.damage().join("; "), samples)
+    };
+    assert_eq!(damage(&whole), (String::new(), 4));
+    // Between the chunks, within the second one, and behind it.
+    let chunk = (ros1("lz4").len() - 13 - record(&[("op", &[3])], &[b' '; 16]).len()) as u64;
+    let mut end_of_chunks = 0;
+    _ = closed_ros1(|at| {
+        end_of_chunks = at as usize;
+        at
+    });
+    for (length, chunks) in [
+        (end_of_chunks - chunk as usize, 1),
+        (end_of_chunks - 10, 1),
+        (end_of_chunks + 5, 2),
+    ] {
+        let (said, samples) = damage(&whole[..length]);
+        let expected = format!("is cut off: {chunks} of 2 chunks");
+        assert!(said.contains(&expected), "{length}: {said}");
+        assert_eq!(samples, 2 * chunks);
+    }
+    let (said, samples) = damage(&closed_ros1(|_| 0));
+    assert!(said.contains("was not closed"), "{said}");
+    assert_eq!(samples, 4);
+}
+
 #[test]
 fn bags_of_ros_1_are_read() {
     let folder = tempfile::tempdir().expect("folder");
@@ -411,6 +465,20 @@ fn databases_of_rosbag2_are_read_alone_and_in_their_folder() {
     database(&folder.path().join("walk_2.db3"), "cdr");
     let bag = RosBag::open(folder.path()).expect("three parts");
     assert_eq!(bag.imu(None).expect("samples").samples.len(), 6);
+
+    assert_eq!(bag.damage(), [""; 0]);
+    // One of them was not copied along.
+    let metadata = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - walk_0.db3\n    - walk/walk_1.db3\n    \
+        - walk_2.db3.zstd\n    - walk_10.db3\n  duration:\n    nanoseconds: 5\n";
+    std::fs::write(folder.path().join("metadata.yaml"), metadata).expect("metadata");
+    let damage = RosBag::open(folder.path()).expect("a folder").damage();
+    let [missing] = damage.as_slice() else {
+        panic!("{damage:?}");
+    };
+    assert!(
+        missing.contains("names walk_1.db3, which is not there"),
+        "{missing}"
+    );
 
     let other = folder.path().join("other.db3");
     database(&other, "protobuf");

@@ -34,6 +34,8 @@ pub struct CameraFigures {
     pub rate_hz: f64,
     /// Steps longer than one and a half medians.
     pub gaps: u64,
+    /// Images whose stamp is not behind that of the image before.
+    pub not_rising: u64,
     /// The longest step, seconds.
     pub longest_gap_s: f64,
     /// Angle of view along x and y, degrees; absent where no rig is known.
@@ -96,6 +98,7 @@ fn of_camera(
         size_px,
         rate_hz: if median_s > 0.0 { 1.0 / median_s } else { 0.0 },
         gaps: steps.iter().filter(|s| **s > GAP * median_s).count() as u64,
+        not_rising: steps.iter().filter(|s| **s <= 0.0).count() as u64,
         longest_gap_s: steps.last().copied().unwrap_or(0.0),
         view_deg: mounted.and_then(view_deg),
         is_rolling: mounted.map(|m| m.timing.readout_s != 0.0),
@@ -115,4 +118,25 @@ fn view_deg(mounted: &RigCamera) -> Option<[f64; 2]> {
         between([0.0, cy], [width, cy])?,
         between([cx, 0.0], [cx, height])?,
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By the median and the longest step nothing is wrong with it.
+    #[test]
+    fn a_stamp_that_goes_back_or_stands_is_counted() {
+        let figures = |millis: &[i64]| {
+            let at = |ms: &i64| (Timestamp::from_nanos(ms * 1_000_000), 0);
+            let exposures: Vec<_> = millis.iter().map(at).collect();
+            of_camera("/cam0/image", &exposures, [64, 48], None)
+        };
+        let right = figures(&[0, 33, 66, 100, 133, 166]);
+        assert_eq!(right.not_rising, 0);
+        let back = figures(&[0, 33, 66, 40, 73, 106]);
+        assert_eq!((back.not_rising, back.longest_gap_s), (1, 0.033));
+        assert_eq!(back.rate_hz, right.rate_hz);
+        assert_eq!(figures(&[0, 33, 33, 66, 100]).not_rising, 1);
+    }
 }

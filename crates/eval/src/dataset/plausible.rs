@@ -141,6 +141,22 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
             "%",
             limit,
         ));
+        let back = camera.not_rising as f64;
+        let what = match camera.not_rising {
+            0 => "stamps rise from image to image".to_owned(),
+            1 => "once a stamp is not behind the one before".to_owned(),
+            n => format!("{n} stamps are not behind the one before"),
+        };
+        let rise = judged(
+            "stamps",
+            Verdict::Fail,
+            &subject,
+            &what,
+            back,
+            "",
+            Limit::AtMost(0.0),
+        );
+        findings.push(rise.remedy("see what sets the camera's clock with `lsfb clock`"));
         let gap_s = camera.longest_gap_s;
         let what = format!("{} gaps, the longest {gap_s:.2} s", camera.gaps);
         let limit = Limit::AtMost(LONGEST_GAP_S);

@@ -108,6 +108,7 @@ fn sequence(motion: Option<MotionFigures>) -> SequenceFigures {
         size_px: [640, 480],
         rate_hz: 30.0,
         gaps: 0,
+        not_rising: 0,
         longest_gap_s: 0.034,
         view_deg: Some([67.0, 53.0]),
         is_rolling: Some(true),
@@ -164,6 +165,10 @@ fn a_recording_that_cannot_be_is_named() {
     let mut cut = right.clone();
     cut.images.cameras[0].frames = 900;
     assert_eq!(verdict_of(&cut, "frames"), Some(Verdict::Fail));
+    // A clock that was set back once.
+    let mut set_back = right.clone();
+    set_back.images.cameras[0].not_rising = 1;
+    assert_eq!(verdict_of(&set_back, "stamps"), Some(Verdict::Fail));
     // Somebody else's motion under this name.
     let other = sequence(Some(figures(&walk(1.0, 1.5, 0.1))));
     assert_eq!(verdict_of(&other, "class"), Some(Verdict::Warn));

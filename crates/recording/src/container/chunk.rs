@@ -47,7 +47,8 @@ pub(crate) struct Scratch {
     records: Vec<u8>,
 }
 
-/// Unpacks a chunk and compares its checksum, without keeping anything.
+/// Unpacks a chunk, compares its checksum and walks its records to their end, without keeping anything: a chunk without a checksum may be
+/// broken inside.
 pub(crate) fn verify(
     source: &Source,
     entry: &ChunkEntry,
@@ -55,11 +56,31 @@ pub(crate) fn verify(
 ) -> Result<(), Error> {
     scratch.bytes = read_bytes(source, entry, std::mem::take(&mut scratch.bytes))?;
     let packed = packed(source, entry, &scratch.bytes)?;
-    if packed.head.packing == Packing::Plain {
-        return check(source, entry, &packed.head, packed.data);
+    let records = match packed.head.packing {
+        Packing::Plain => packed.data,
+        _ => {
+            unpack(source, entry, &packed, &mut scratch.records)?;
+            &scratch.records
+        }
+    };
+    check(source, entry, &packed.head, records)?;
+    match records.len() - record::whole_bytes(records) {
+        0 => Ok(()),
+        broken => Err(source.damaged(entry.offset, broken as u64, None, RECORDS_BROKEN.to_owned())),
     }
-    unpack(source, entry, &packed, &mut scratch.records)?;
-    check(source, entry, &packed.head, &scratch.records)
+}
+
+/// Why the rest of a chunk cannot be read.
+pub(crate) const RECORDS_BROKEN: &str = "records inside a chunk are broken";
+
+/// Whether a chunk has a checksum at all.
+pub(crate) fn has_checksum(source: &Source, entry: &ChunkEntry) -> Result<bool, Error> {
+    let length = record::MAX_CHUNK_HEAD_BYTES as u64;
+    let start = source.read(entry.offset, HEAD_BYTES + length)?;
+    let body = start.get(HEAD_BYTES as usize..).unwrap_or_default();
+    let head = record::chunk_head(body, entry.record_bytes.saturating_sub(HEAD_BYTES));
+    // One that cannot be read is said to be damaged.
+    Ok(head.is_none_or(|head| head.uncompressed_crc != 0))
 }
 
 /// Unpacks as much of a torn chunk as there is. Nothing of it has been checked.

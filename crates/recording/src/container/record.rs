@@ -90,6 +90,19 @@ pub(crate) fn next_record<'a>(bytes: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
     Some((opcode, body))
 }
 
+/// How many of the bytes are whole records, from the first on; messages among them have their head.
+pub(crate) fn whole_bytes(records: &[u8]) -> usize {
+    let mut rest = records;
+    let mut whole = 0;
+    while let Some((opcode, body)) = next_record(&mut rest) {
+        if opcode == opcode::MESSAGE && message(body).is_none() {
+            break;
+        }
+        whole = records.len() - rest.len();
+    }
+    whole
+}
+
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SchemaRecord {
     pub id: u16,

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::{Progress, ProgressFn};
 
-use crate::container::chunk;
+use crate::container::chunk::{self, RECORDS_BROKEN};
 use crate::container::emit::{self, IndexEntry};
 use crate::container::header;
 use crate::container::index::{ChunkEntry, Index};
@@ -250,6 +250,14 @@ impl Copy {
         let Some(head) = head else {
             return Ok(());
         };
+        let whole = record::whole_bytes(&records);
+        if whole < records.len() {
+            // Without a checksum it may be broken inside: what is whole goes into a chunk of its own.
+            let broken = (records.len() - whole) as u64;
+            let saved = self.put_records(records.get(..whole).unwrap_or_default(), &head)?;
+            let reason = format!("{RECORDS_BROKEN}; {saved} messages of it were saved");
+            return Err(source.damaged(entry.offset, broken, None, reason));
+        }
         let contents = self.read_records(&records);
         self.put_chunk(&mut record, &head, &contents)?;
         self.chunks += 1;
@@ -324,12 +332,12 @@ impl Copy {
         };
         let data = fields.0.get(head.head_bytes as usize..).unwrap_or_default();
         let unpacked = chunk::unpack_torn(head.packing, data);
-        let mut rest = unpacked.as_slice();
-        let mut whole = 0;
-        while record::next_record(&mut rest).is_some() {
-            whole = unpacked.len() - rest.len();
-        }
-        let records = unpacked.get(..whole).unwrap_or_default();
+        let whole = record::whole_bytes(&unpacked);
+        self.put_records(unpacked.get(..whole).unwrap_or_default(), &head)
+    }
+
+    /// Puts whole records of a broken chunk into one of their own. How many messages are among them.
+    fn put_records(&mut self, records: &[u8], head: &record::ChunkHead) -> Result<u64, Error> {
         let messages = self.read_records(records);
         let times = || messages.values().flatten().map(|entry| entry.log_time);
         let (Some(start_time), Some(end_time)) = (times().min(), times().max()) else {
@@ -340,7 +348,7 @@ impl Copy {
         let new_head = emit::ChunkHead {
             start_time,
             end_time,
-            uncompressed_bytes: whole as u64,
+            uncompressed_bytes: records.len() as u64,
             crc: crc32fast::hash(records),
             compression: "",
         };
@@ -348,10 +356,10 @@ impl Copy {
         let head = record::ChunkHead {
             start_time,
             end_time,
-            uncompressed_bytes: whole as u64,
+            uncompressed_bytes: records.len() as u64,
             packing: Packing::Plain,
-            compressed_bytes: whole as u64,
-            ..head
+            compressed_bytes: records.len() as u64,
+            ..*head
         };
         self.put_chunk(&mut record, &head, &messages)?;
         let salvaged = times().count() as u64;

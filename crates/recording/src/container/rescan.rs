@@ -6,7 +6,7 @@ use crate::container::chunk;
 use crate::container::index::{ChunkEntry, Index};
 use crate::container::record::{self, HEAD_BYTES, NamedRecord, opcode};
 use crate::container::source::Source;
-use crate::error::{Damage, Error};
+use crate::error::{Damage, Error, INDEX_REBUILT};
 
 /// No record but chunks and attachments is larger; nothing larger is read in one piece.
 const MAX_SMALL_RECORD_BYTES: u64 = 64 << 20;
@@ -112,7 +112,7 @@ impl<'a> Rescan<'a> {
             offset: source.bytes,
             bytes: 0,
             messages: None,
-            reason: format!("the index was rebuilt from the data, since {reason}"),
+            reason: format!("{INDEX_REBUILT}, since {reason}"),
         }));
         scan.report_unknown_channels();
         Ok(scan.index)

@@ -12,6 +12,8 @@ use crate::{Decoded, WireError};
 
 /// One unit of distance, metres.
 const UNIT_M: f64 = 0.004;
+/// Length of packets about the GPS input.
+const GPS_PACKET_LEN: usize = 512;
 /// Numbers of packets do not jump by more within half an hour.
 const MOST_LOST: u32 = 20_000_000;
 
@@ -84,6 +86,12 @@ pub fn recognise(bytes: &[u8]) -> bool {
 /// Time of a data packet past the sensor's hour, nanoseconds.
 pub fn device_ns(bytes: &[u8]) -> Option<i64> {
     DataPacket::new(bytes).ok().map(|packet| packet.toh_ns())
+}
+
+/// Whether a datagram is one about the sensor's GPS input, which is recorded and not read: 512 bytes that begin with 0xFF 0xEE, where data
+/// packets begin with these the other way round (User Manuals of XT32, Pandar64 and QT64, "GPS Data Packet").
+pub fn is_beside(bytes: &[u8]) -> bool {
+    bytes.len() == GPS_PACKET_LEN && bytes.starts_with(&[0xFF, 0xEE])
 }
 
 /// Packets about the GPS input are not read.
@@ -211,6 +219,11 @@ impl Decoder {
         });
         self.assemble(&data, mode, packet.arrival);
         Ok(self.scans.next_scan())
+    }
+
+    /// Another scan that the last packet completed: one that ends two of them returns the first.
+    pub fn ready(&mut self) -> Option<Decoded<LidarScan>> {
+        self.scans.next_scan()
     }
 
     /// Ends the stream: what is left, one scan per call, until `None`.

@@ -19,7 +19,7 @@ use lsfb_types::{Packet, Timestamp};
 use pcap_file::pcap::PcapReader;
 use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
 use pcap_file::pcapng::{Block, PcapNgReader};
-use pcap_file::{DataLink, PcapError, TsResolution};
+use pcap_file::{DataLink, Endianness, PcapError, TsResolution};
 
 use self::fragments::{Fragment, Fragments, payload};
 use self::survey::Passed;
@@ -132,20 +132,37 @@ impl PcapSource {
                 let Some(block) = reader.next_block() else {
                     return Ok(Frame::End);
                 };
-                let Block::EnhancedPacket(frame) = block?.into_owned() else {
-                    return Ok(Frame::None);
+                let (interface_id, ticks, data) = match block?.into_owned() {
+                    // pcap-file hands the raw counter over as if it were nanoseconds.
+                    Block::EnhancedPacket(frame) => {
+                        (frame.interface_id, frame.timestamp.as_nanos(), frame.data)
+                    }
+                    // Its older form. The upper half comes first, in either order of bytes; pcap-file takes it for one number.
+                    Block::Packet(frame) => {
+                        let ticks = match reader.section().endianness {
+                            Endianness::Big => frame.timestamp,
+                            Endianness::Little => frame.timestamp.rotate_left(32),
+                        };
+                        let id = u32::from(frame.interface_id);
+                        (id, u128::from(ticks), frame.data)
+                    }
+                    Block::SimplePacket(_) => {
+                        return Err(PcapError::InvalidField(
+                            "a simple packet block has no time: capture again with one",
+                        ));
+                    }
+                    _ => return Ok(Frame::None),
                 };
                 let interface = reader
                     .interfaces()
-                    .get(frame.interface_id as usize)
-                    .ok_or(PcapError::InvalidInterfaceId(frame.interface_id))?;
+                    .get(interface_id as usize)
+                    .ok_or(PcapError::InvalidInterfaceId(interface_id))?;
                 let resolution = interface.options.iter().find_map(|option| match option {
                     InterfaceDescriptionOption::IfTsResol(code) => Some(*code),
                     _ => None,
                 });
-                // pcap-file hands the raw counter over as if it were nanoseconds.
-                let nanos = nanos_of(frame.timestamp.as_nanos(), resolution.unwrap_or(6));
-                let found = datagram(interface.linktype, &frame.data, ports, &mut self.fragments);
+                let nanos = nanos_of(ticks, resolution.unwrap_or(6));
+                let found = datagram(interface.linktype, &data, ports, &mut self.fragments);
                 (nanos, found.into_owned())
             }
         };

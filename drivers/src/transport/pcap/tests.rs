@@ -235,6 +235,39 @@ fn pcapng_keeps_the_resolution_of_its_interface() {
     assert_eq!(nanos_of(5_000_000_000_000, 12), 5_000_000_000);
 }
 
+/// What older programs wrote was passed over without a word, and what has no time too.
+#[test]
+fn older_blocks_of_pcapng_are_read_and_those_without_a_time_are_an_error() {
+    let data = frame(None, 2368, b"payload");
+    let padded = data.len().next_multiple_of(4);
+    // By the draft of the format, section by section: kind, length, body, length.
+    let block = |kind: u32, body: &[u8]| {
+        let length = (12 + body.len() as u32).to_le_bytes();
+        [&kind.to_le_bytes()[..], &length, body, &length].concat()
+    };
+    let le = |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|w| w.to_le_bytes()).collect() };
+    let section = block(0x0A0D_0D0A, &le(&[0x1A2B_3C4D, 1, u32::MAX, u32::MAX]));
+    let interface = block(1, &le(&[1, 65_535]));
+    let mut bytes = data.clone();
+    bytes.resize(padded, 0);
+    let micros: u64 = 1_700_000_000_123_456;
+    let [high, low] = [(micros >> 32) as u32, micros as u32];
+    let length = data.len() as u32;
+    let old = block(
+        2,
+        &[&le(&[0, high, low, length, length])[..], &bytes].concat(),
+    );
+    let simple = block(3, &[&le(&[length])[..], &bytes].concat());
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), [section, interface, old, simple].concat()).unwrap();
+    let mut source = PcapSource::open(file.path(), &[2368]).unwrap();
+    let packet = source.recv(Duration::ZERO).unwrap().unwrap();
+    assert_eq!(packet.bytes, b"payload");
+    assert_eq!(packet.arrival.nanos(), 1_700_000_000_123_456_000);
+    let error = source.recv(Duration::ZERO).unwrap_err().to_string();
+    assert!(error.contains("has no time"), "{error}");
+}
+
 #[test]
 fn damaged_files_say_where_and_give_what_came_before() {
     let frames = [frame(None, 2368, b"one"), frame(None, 2368, b"two")];

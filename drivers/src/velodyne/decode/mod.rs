@@ -12,7 +12,7 @@ use super::wire::{
 };
 use crate::lidar::{
     Counters, Found, Instants, MOST_LATE, Position, Returns, ScanBuilder, ScanSettings, Step,
-    is_crowded, step, turn,
+    TURN_CENTIDEG, is_crowded, step, turn,
 };
 use crate::{Decoded, WireError};
 
@@ -20,6 +20,9 @@ use crate::{Decoded, WireError};
 const PERIOD_TOLERANCE_NS: i64 = 3_000;
 /// Packets at another model's rate that settle that the factory bytes are wrong: far less than one revolution.
 const WRONG_RATE_PACKETS: u32 = 8;
+/// Half of the shortest turn (1200 rpm): where the rotor seems to go on as it did, and more time than this is left over, it went round
+/// unseen.
+const HALF_A_TURN_NS: i64 = 25_000_000;
 
 /// Whose word counts for model and return mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,6 +76,11 @@ pub fn recognise(bytes: &[u8]) -> bool {
 pub fn device_ns(bytes: &[u8]) -> Option<i64> {
     let packet = DataPacket::new(bytes).ok()?;
     Some(i64::from(packet.timestamp_us()) * 1_000)
+}
+
+/// Whether a datagram is one that is recorded and not read: there is none.
+pub fn is_beside(_: &[u8]) -> bool {
+    false
 }
 
 /// What a position packet says; `None` where it is none.
@@ -252,6 +260,11 @@ impl Decoder {
         self.scans.next_scan()
     }
 
+    /// Another scan that the last packet completed: one that ends two of them returns the first.
+    pub fn ready(&mut self) -> Option<Decoded<LidarScan>> {
+        self.scans.next_scan()
+    }
+
     /// Ends the stream: what is left, one scan per call, until `None`.
     pub fn finish(&mut self) -> Option<Decoded<LidarScan>> {
         if let Some(held) = self.held.take() {
@@ -311,25 +324,42 @@ impl Decoder {
     /// Decodes `held`, now that its successor is known.
     fn advance(&mut self, mut held: Held, next: &Held, elapsed_ns: i64) -> Result<(), DecodeError> {
         let period = held.layout.packet_period_ns();
-        let contiguous = held.layout.reaches(&next.layout);
-        if contiguous {
+        let beyond_ns = elapsed_ns - held.layout.span_ns();
+        let reaches = held.layout.reaches(&next.layout);
+        if reaches && beyond_ns < HALF_A_TURN_NS {
             self.check_rate(&held, elapsed_ns)?;
         }
         self.counters.crowded += u64::from(is_crowded(elapsed_ns, period));
-        let missing = (elapsed_ns - held.layout.span_ns() + period / 2).div_euclid(period);
         let between = Sector {
             from: held.layout.last_azimuth(),
             to: next.layout.first_azimuth(),
         };
-        if missing > 0 && !contiguous && !self.is_dead(between) {
-            self.counters.lost += missing as u64;
-        }
+        let missing = if reaches {
+            self.lost_in_turns(beyond_ns, period)
+        } else if self.is_dead(between) {
+            let pause_ns = held.layout.time_to_turn_ns(turn(between.from, between.to));
+            self.lost_in_turns(beyond_ns - pause_ns, period)
+        } else {
+            (beyond_ns + period / 2).div_euclid(period)
+        };
+        self.counters.lost += missing.max(0).cast_unsigned();
         held.layout.time_gap_from_next(elapsed_ns);
         if let Some((from, to)) = held.layout.gap() {
             self.dead_sector = Some(Sector { from, to });
         }
         self.assemble(held);
         Ok(())
+    }
+
+    /// Packets of the whole turns that fit into a time, where the rotor goes on as if there had been none.
+    fn lost_in_turns(&self, unseen_ns: i64, period_ns: i64) -> i64 {
+        if unseen_ns < HALF_A_TURN_NS {
+            return 0;
+        }
+        let dead = self.dead_sector.map_or(0, |dead| turn(dead.from, dead.to));
+        let firing = i64::from(TURN_CENTIDEG - dead);
+        let fired_ns = unseen_ns / i64::from(TURN_CENTIDEG) * firing;
+        (fired_ns + period_ns / 2) / period_ns
     }
 
     /// Tells a sensor whose factory bytes lie: no rotor gap between packets, and another model's packet rate.

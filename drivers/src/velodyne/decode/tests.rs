@@ -234,6 +234,48 @@ fn a_missing_packet_is_counted_once_and_a_late_or_double_one_left_out() {
     assert_eq!((counters.packets, counters.clock_jumps), (196, 0));
 }
 
+/// The next packet begins where the last one ended, and so nothing was missed.
+#[test]
+fn whole_turns_that_are_lost_are_counted() {
+    let mut twin = Twin::new(1_000_000);
+    // A turn of 150 packets.
+    twin.rate_centideg_s = 36_000.0 / (150.0 * 663_552e-9);
+    let packets = twin.packets(1_200);
+    for turns in [1, 3] {
+        let mut faulty = packets.clone();
+        faulty.drain(400..400 + 150 * turns);
+        let counters = run(DecoderConfig::default(), &faulty).counters;
+        assert_eq!(counters.lost, 150 * turns as u64, "{turns}");
+        assert_eq!((counters.clock_jumps, counters.crowded), (0, 0));
+    }
+
+    // Behind a window: from its one edge to the other, but a turn later.
+    let mut twin = Twin::new(0);
+    twin.window = Some((9_000, 27_000));
+    let packets = twin.packets(4_000);
+    let edges: Vec<usize> = (100..packets.len())
+        .filter(|n| {
+            let azimuth = |packet: &Packet, block| {
+                DataPacket::new(&packet.bytes[..])
+                    .unwrap()
+                    .azimuth_centideg(block)
+            };
+            let (last, first) = (azimuth(&packets[n - 1], 11), azimuth(&packets[*n], 0));
+            (8_950..9_000).contains(&last) && (27_000..27_050).contains(&first)
+        })
+        .collect();
+    let (from, to) = (edges[0], edges[1]);
+    assert!(to - from > 50, "{edges:?}");
+    let mut faulty = packets;
+    faulty.drain(from..to);
+    let lost = run(DecoderConfig::default(), &faulty).counters.lost;
+    assert!(
+        lost.abs_diff((to - from) as u64) <= 2,
+        "{lost} of {}",
+        to - from
+    );
+}
+
 #[test]
 fn a_field_of_view_window_loses_nothing_and_times_both_sides() {
     let mut twin = Twin::new(0);

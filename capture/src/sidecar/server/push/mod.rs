@@ -25,7 +25,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::{Recorded, Visit};
 use crate::receipt::Progress;
-use session::{BatchState, NotStored, PushSession, SILENT};
+use session::{BatchState, NotStored, Paused, PushSession, SILENT};
 
 /// Longest body: images are not taken.
 const MAX_BODY_BYTES: usize = 4 << 20;
@@ -40,9 +40,17 @@ const MAX_PUSHING: usize = lsfb_drivers::sidecar::model::MAX_DEVICES;
 /// The app shows the text of an answer with this number to its user.
 const SHOWN_STATUS: u16 = 499;
 
-/// The sessions that are open, by device.
+/// The sessions that are open or paused, by device.
 #[derive(Debug, Default)]
-pub(super) struct Pushing(Mutex<BTreeMap<String, Arc<Mutex<Option<PushSession>>>>>);
+pub(super) struct Pushing(Mutex<BTreeMap<String, Arc<Mutex<Slot>>>>);
+
+/// What a device pushes.
+#[derive(Debug, Default)]
+struct Slot {
+    open: Option<PushSession>,
+    /// The last one, where it was silent for long.
+    paused: Option<Paused>,
+}
 
 /// Takes one batch.
 pub(super) async fn take(
@@ -156,10 +164,10 @@ async fn store(
             visit.shared.refusals.count("too many devices");
             return Ok(said(StatusCode::SERVICE_UNAVAILABLE, "too many devices"));
         }
-        let new = || Arc::new(Mutex::new(None));
-        Arc::clone(pushing.entry(device.to_owned()).or_insert_with(new))
+        Arc::clone(pushing.entry(device.to_owned()).or_default())
     };
-    let mut open = slot.lock().await;
+    let mut pushed = slot.lock().await;
+    let Slot { open, paused } = &mut *pushed;
     let is_other = open
         .as_ref()
         .is_some_and(|session: &PushSession| session.session_id != body.session_id);
@@ -169,7 +177,8 @@ async fn store(
     let session = match &mut *open {
         Some(session) => session,
         none => {
-            let session = PushSession::open(visit, recorded, device, &body).await?;
+            let before = paused.take();
+            let session = PushSession::open(visit, recorded, device, &body, before).await?;
             tokio::spawn(watch(visit.clone(), Arc::clone(&slot)));
             none.insert(session)
         }
@@ -183,7 +192,7 @@ async fn store(
             return Err(NotStored);
         }
     };
-    drop(open);
+    drop(pushed);
     match place {
         BatchState::Recorded(progress, seq) => {
             stored(&progress, seq).await?;
@@ -209,20 +218,22 @@ async fn stored(progress: &Progress, seq: u64) -> Result<(), NotStored> {
 }
 
 /// Looks after a session until it is silent, or replaced, or the recording ends.
-async fn watch(visit: Visit, slot: Arc<Mutex<Option<PushSession>>>) {
+async fn watch(visit: Visit, slot: Arc<Mutex<Slot>>) {
     let mut running = visit.shared.running.clone();
     loop {
         tokio::select! {
             _ = running.changed() => return,
             () = sleep(LOOK_EVERY) => {}
         }
-        let mut open = slot.lock().await;
+        let mut pushed = slot.lock().await;
+        let Slot { open, paused } = &mut *pushed;
         let Some(session) = open.as_mut() else {
             return;
         };
         let is_over = session.heard.elapsed() >= SILENT || session.look().await.is_err();
         if is_over && let Some(silent) = open.take() {
-            return silent.close("nothing was pushed for 10 s").await;
+            *paused = Some(silent.pause("nothing was pushed for 10 s").await);
+            return;
         }
     }
 }

@@ -45,10 +45,26 @@ pub(super) struct PushSession {
     pub(super) heard: Instant,
 }
 
+impl Paused {
+    /// What was repeated was told when the session paused.
+    fn with_nothing_repeated(mut self) -> Self {
+        self.channels.repeated = 0;
+        self
+    }
+}
+
 impl fmt::Debug for PushSession {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "PushSession({} {})", self.device, self.session)
     }
+}
+
+/// A session that nothing was heard of for a while: the app may be out of reach, and goes on counting.
+#[derive(Debug)]
+pub(super) struct Paused {
+    session_id: String,
+    order: Order,
+    channels: Channels,
 }
 
 /// Why a batch was not recorded.
@@ -68,12 +84,13 @@ pub(super) enum BatchState {
 }
 
 impl PushSession {
-    /// Begins one, or goes on with it in another recording.
+    /// Begins one, or goes on with it: after a pause, or in another recording.
     pub(super) async fn open(
         visit: &Visit,
         recorded: &Arc<Recorded>,
         device: &str,
         body: &PushedBody,
+        paused: Option<Paused>,
     ) -> Result<Self, NotStored> {
         let session = match is_name(&body.session_id) {
             true => body.session_id.clone(),
@@ -88,7 +105,12 @@ impl PushSession {
             pairing_token: None,
         };
         let arrival = arrival_now();
-        let joined = Order::default().joined_at(body.message_id).map(|first| {
+        let paused = paused.filter(|paused| paused.session_id == body.session_id);
+        let (order, channels) = match paused {
+            Some(paused) => (paused.order, paused.channels),
+            None => Default::default(),
+        };
+        let joined = order.joined_at(body.message_id).map(|first| {
             format!("{device}: joined in the middle, at batch {first}; those before it are not in this recording")
         });
         let room = visit.shared.events.clone().reserve_owned().await;
@@ -119,10 +141,10 @@ impl PushSession {
             session,
             seq: opened.received,
             opened,
-            order: Order::default(),
-            channels: Channels::default(),
+            told_missing: order.missing(),
+            order,
+            channels,
             described: BTreeSet::new(),
-            told_missing: 0,
             repeated: 0,
             heard: Instant::now(),
         })
@@ -156,6 +178,18 @@ impl PushSession {
             self.tell(BTreeMap::new(), 0).await?;
         }
         Ok(())
+    }
+
+    /// Nothing comes any more. The app may be heard again, and what it numbered meanwhile is missing then.
+    pub(super) async fn pause(mut self, why: &str) -> Paused {
+        let paused = Paused {
+            session_id: std::mem::take(&mut self.session_id),
+            order: std::mem::take(&mut self.order),
+            channels: std::mem::take(&mut self.channels),
+        };
+        self.repeated += paused.channels.repeated;
+        self.close(why).await;
+        paused.with_nothing_repeated()
     }
 
     /// It is over.
