@@ -412,7 +412,10 @@ fn provenance_of(
     config: &PosedMapConfig,
 ) -> Provenance {
     let mut provenance = Provenance::new(config);
-    let name = crate::files::name_of(folder);
+    let name = match crate::files::name_of(folder) {
+        none if none.is_empty() => "images".to_owned(),
+        name => name,
+    };
     let inputs = &mut provenance.inputs;
     inputs.insert(name, map.provenance().to_owned());
     provenance.add_rig(&posed.rig);
