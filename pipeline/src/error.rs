@@ -209,6 +209,39 @@ pub enum Error {
         /// How far another scale of the second map would move it at most, metres.
         scale_shift_m: f64,
     },
+    /// Nothing tells how far the images of a map are from where its points place them.
+    #[error(
+        "no image of the map shows {needed} points that others of its images show too: nothing tells how exact the map is, nor any pose in it; make the map of more images, or cut out a larger part"
+    )]
+    MapErrorUnknown {
+        /// Points that an image must share.
+        needed: usize,
+    },
+    /// Two maps are of the same images.
+    #[error(
+        "{points} of {shared} points that the maps share were seen in the same images at the same pixels: one is a part of the other, or both were made of one recording. Joined, each observation would count twice: merge maps of different recordings, and crop a map from the whole one"
+    )]
+    SameImages {
+        /// Points with an observation that both maps have.
+        points: usize,
+        /// Points that the maps share.
+        shared: usize,
+    },
+    /// Two maps of which the second alone stands in a surveyed frame.
+    #[error(
+        "the second map stands in a surveyed frame and the first does not, whose frame the result would have: name the surveyed map first"
+    )]
+    SurveyedSecond,
+    /// Two surveyed maps that do not agree where they are.
+    #[error(
+        "both maps stand in surveyed frames, and their points put the second {shift_m:.3} m beside where its survey has it (at most {most_m} m is believed): the surveys are not of one frame, or one map's control points are wrong"
+    )]
+    SurveysDisagree {
+        /// How far the alignment moves a keyframe of the second from its surveyed place at most, metres.
+        shift_m: f64,
+        /// Most that it may, metres.
+        most_m: f64,
+    },
     /// Images give no map, or one in which nobody would be found.
     #[error("{points} map points are seen in three images or more, {needed} are needed: {reason}")]
     TooFewPoints {

@@ -37,6 +37,61 @@ pub(crate) struct ReadFrames {
 /// Images of one trigger carry one time; this much apart is another.
 pub(crate) const SAME_INSTANT_NS: i64 = 2_000_000;
 
+/// By which clock images are put together that are of one instant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ImageClock {
+    /// The stamps as they are: who reads them knows what the rig adds to those of each camera.
+    Stamps,
+    /// The rig's: what it adds to a camera's stamps is added.
+    Rig,
+}
+
+/// What the rig adds to the stamps of each of some cameras, nanoseconds.
+pub(crate) fn clock_offsets_ns(rig: &Rig, cameras: &[&str]) -> Vec<i64> {
+    let of = |name: &&str| {
+        let camera = rig.cameras.get(*name);
+        let offset_s = camera.map_or(0.0, |camera| camera.timing.rig_from_camera_s);
+        (offset_s * 1e9).round() as i64
+    };
+    cameras.iter().map(of).collect()
+}
+
+/// The images of each of some instants of a walk, with the names of their cameras: of instants at `times`, ascending by the rig's clock,
+/// those that are `chosen`. Damaged images are left out.
+pub fn images_of_instants(
+    recording: &Recording,
+    rig: &Rig,
+    times: &[Timestamp],
+    chosen: &[usize],
+) -> Result<Vec<Vec<(String, Image)>>, Error> {
+    let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    let offsets_ns = clock_offsets_ns(rig, &cameras);
+    let mut found: Vec<BTreeMap<usize, (Timestamp, Image)>> = vec![BTreeMap::new(); chosen.len()];
+    for item in recording.images_of(&cameras)?.flatten() {
+        let time = item.image.time.plus_nanos(offsets_ns[item.camera]);
+        let Some(instant) = times.partition_point(|t| *t <= time).checked_sub(1) else {
+            continue;
+        };
+        let is_of_it = time - times[instant] <= SAME_INSTANT_NS;
+        let place = chosen.iter().position(|k| *k == instant);
+        let Some(images) = place.filter(|_| is_of_it).and_then(|k| found.get_mut(k)) else {
+            continue;
+        };
+        // As frames are read: the first of one stamp, the last of one instant.
+        let there = images.get(&item.camera);
+        if there.is_none_or(|(before, _)| *before < time) {
+            images.insert(item.camera, (time, item.image.sample));
+        }
+    }
+    let named = found.into_iter().map(|images| {
+        let images = images.into_iter();
+        images
+            .map(|(camera, (_, image))| (cameras[camera].to_owned(), image))
+            .collect()
+    });
+    Ok(named.collect())
+}
+
 /// The first of some times, those at least so much later than the one before, and the last.
 pub(crate) fn times_apart(times: &[Timestamp], secs: f64) -> Vec<usize> {
     let mut chosen: Vec<usize> = Vec::new();
@@ -58,11 +113,16 @@ const BATCH: usize = 32;
 pub(crate) fn read_frames(
     recording: &Recording,
     rig: &Rig,
+    clock: ImageClock,
     detector: &FeatureDetector,
     stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<ReadFrames, Error> {
     let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    let offsets_ns = match clock {
+        ImageClock::Stamps => vec![0; cameras.len()],
+        ImageClock::Rig => clock_offsets_ns(rig, &cameras),
+    };
     let total: u64 = recording
         .topics()
         .iter()
@@ -100,7 +160,8 @@ pub(crate) fn read_frames(
         match item {
             Ok(item) => {
                 check_size(recording, rig, cameras[item.camera], &item.image.sample)?;
-                batch.push((item.image.time, item.camera, item.image.sample));
+                let time = item.image.time.plus_nanos(offsets_ns[item.camera]);
+                batch.push((time, item.camera, item.image.sample));
             }
             Err(_) => damaged += 1,
         }
@@ -191,4 +252,98 @@ pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>
     samples.dedup_by_key(|sample| sample.time);
     damaged += (told - samples.len()) as u64;
     Ok((samples, damaged))
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{Camera, CameraTiming, RigCamera, Se3};
+    use lsfb_recording::{Writer, WriterConfig};
+    use lsfb_types::no_progress;
+
+    use super::*;
+    use crate::features::SiftConfig;
+
+    /// What the rig adds to the stamps of its second camera.
+    const LATE_NS: i64 = 20_000_000;
+
+    fn rig() -> Rig {
+        let mut rig = Rig::empty("two");
+        for (name, rig_from_camera_s) in [("cam0", 0.0), ("cam1", 1e-9 * LATE_NS as f64)] {
+            let mounted = RigCamera {
+                camera: Camera::pinhole(32, 32, [30.0; 2], [15.5; 2]),
+                rig_from_camera: Se3::identity(),
+                timing: CameraTiming {
+                    rig_from_camera_s,
+                    readout_s: 0.0,
+                },
+            };
+            rig.cameras.insert(name.to_owned(), mounted);
+        }
+        rig
+    }
+
+    /// Naively images of one stamp were one instant, and those of one instant two, where a rig's cameras have clocks apart.
+    #[test]
+    fn images_are_put_together_by_the_clock_of_the_rig() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("walk.mcap");
+        let mut writer = Writer::create(&path, &WriterConfig::default()).expect("a file");
+        let rig = rig();
+        writer.attach_rig(&rig).expect("a rig");
+        let at = |n: i64| Timestamp::from_nanos(1_700_000_000_000_000_000 + n * LATE_NS / 2);
+        // Stamps in halves of what the clocks are apart: of the rig's instants 0, 2, 4 and 6 both cameras have the middle ones.
+        for (stamp, camera, frame_id) in [
+            (0, "cam0", 0),
+            (0, "cam1", 2),
+            (2, "cam0", 2),
+            (2, "cam1", 4),
+            (4, "cam0", 4),
+            (4, "cam1", 6),
+        ] {
+            let image = Image {
+                width: 32,
+                height: 32,
+                pixels: vec![frame_id as u8; 32 * 32],
+                exposure_ns: 0,
+                frame_id,
+            };
+            let stamped = Stamped {
+                time: at(stamp),
+                arrival: at(stamp),
+                device_ticks: 0,
+                sample: image,
+            };
+            writer.write_image(camera, &stamped).expect("an image");
+        }
+        writer.finish().expect("a file");
+        let recording = Recording::open(&path).expect("a recording");
+        let detector = FeatureDetector::sift(&SiftConfig::default()).expect("SIFT");
+        let times = |clock| -> Vec<i64> {
+            let stages = KeptStages::none();
+            let read = read_frames(&recording, &rig, clock, &detector, &stages, &no_progress);
+            let frames = read.expect("frames").frames;
+            let begin = at(0);
+            frames
+                .iter()
+                .map(|f| (f.time - begin) * 2 / LATE_NS)
+                .collect()
+        };
+        assert_eq!(times(ImageClock::Stamps), [0, 2, 4]);
+        assert_eq!(times(ImageClock::Rig), [0, 2, 4, 6]);
+
+        let instants = [0, 2, 4, 6].map(at);
+        let shown = images_of_instants(&recording, &rig, &instants, &[3, 1, 0]).expect("images");
+        let shown: Vec<Vec<(&str, u8)>> = shown
+            .iter()
+            .map(|images| {
+                let images = images.iter();
+                images
+                    .map(|(name, i)| (name.as_str(), i.pixels[0]))
+                    .collect()
+            })
+            .collect();
+        assert_eq!(shown[0], [("cam1", 6)]);
+        assert_eq!(shown[1], [("cam0", 2), ("cam1", 2)]);
+        assert_eq!(shown[2], [("cam0", 0)]);
+    }
 }

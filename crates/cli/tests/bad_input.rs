@@ -351,6 +351,17 @@ fn files_that_are_not_there() {
     }
 }
 
+/// Naively the rig was not looked at: the folder's own intrinsics counted.
+#[test]
+fn posed_images_bring_their_own_rig() {
+    let folder = tempfile::tempdir().expect("folder");
+    let posed = ["localize", "--posed-images", "office", "--map", "map"];
+    let output = lsfb(folder.path(), &[&posed[..], &["--rig", "a.toml"]].concat());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("cannot be used with"), "{said}");
+}
+
 #[test]
 fn settings_that_mean_nothing() {
     let folder = with(&["scan.mcap", "walk.mcap", "map", "scan.tum"]);

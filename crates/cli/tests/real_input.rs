@@ -179,6 +179,11 @@ fn an_office_is_recognised_by_every_fifth_image() {
         "office-map",
     ];
     assert!(json(folder.path(), &map, 0)["points"].as_u64() > Some(1_000));
+    let beside = folder.path().join("office-map.provenance.json");
+    let beside = std::fs::read_to_string(beside).expect("where the map comes from");
+    let made_from: Value = serde_json::from_str(&beside).expect("JSON");
+    let hash = made_from["inputs"]["hololens_office"].as_str();
+    assert_eq!(hash.map(str::len), Some(64), "{beside}");
     let queries = [
         "localize",
         "--posed-images",

@@ -9,7 +9,7 @@ use lsfb_types::{ImuSample, ProgressFn, Stamped};
 use super::{GroundTruthConfig, frozen_images, frozen_samples};
 use crate::Error;
 use crate::features::{Feature, FeatureDetector};
-use crate::frames::{ReadFrames, read_frames, read_imu_if_any};
+use crate::frames::{ImageClock, ReadFrames, read_frames, read_imu_if_any};
 use crate::kept_stages::KeptStages;
 
 /// Stands for the noise of an IMU that is not there: nothing is weighed by it.
@@ -76,7 +76,8 @@ impl RecordedWalk {
             false => frozen_samples::take_out(&mut imu)?,
         };
         let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
-        let mut read = read_frames(recording, &rig, &detector, stages, progress)?;
+        let clock = ImageClock::Stamps;
+        let mut read = read_frames(recording, &rig, clock, &detector, stages, progress)?;
         let frozen = frozen_images::take_out(&mut read.frames, &imu);
         Ok(Self {
             path: recording.path().to_owned(),

@@ -211,8 +211,11 @@ mod tests {
     use lsfb_geometry::{Camera, Rig, StampedPose};
     use lsfb_types::{Timestamp, no_progress};
 
+    use super::super::map_error::FEWEST_POINTS;
     use super::super::outcome::FeatureMatch;
+    use super::super::{Localizer, LocalizerConfig};
     use super::*;
+    use crate::Error;
     use crate::features::{Feature, Features, FrameFeatures, Keypoint, KeypointGrid};
     use crate::hd_map::{
         HdMap, HdMapConfig, KeyframeImage, MapContent, MapPoint, PointObservation,
@@ -267,6 +270,11 @@ mod tests {
 
     /// Two passes, 0.6 m apart, whose given poses differ, and points between what they say.
     fn map_of_two_passes() -> HdMap {
+        map_with(POINTS as usize)
+    }
+
+    /// The same with fewer points.
+    fn map_with(most_points: usize) -> HdMap {
         let truth: Vec<Se3> = [0.0, 0.6]
             .into_iter()
             .flat_map(|y| (0..6).map(move |i| at(0.3 * f64::from(i), y)))
@@ -290,6 +298,7 @@ mod tests {
             .collect();
         let points = points()
             .into_iter()
+            .take(most_points)
             .zip(0..)
             .map(|(point, keypoint)| MapPoint {
                 point_in_world: point,
@@ -380,6 +389,17 @@ mod tests {
             found.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()
         };
         assert!(sigma_m(3.0) > 2.0 * sigma_m(0.75));
+    }
+
+    /// Naively no image that shares points meant a map without any error, and poses in it known to millimetres.
+    #[test]
+    fn a_map_that_does_not_tell_its_error_is_refused() {
+        let config = LocalizerConfig::default();
+        let found = |points| Localizer::new(&map_with(points), &config).map(|l| l.map_error);
+        let of_all = found(POINTS as usize).expect("known");
+        assert!(of_all.translation_m > 0.1 * DRIFT_M, "{of_all:?}");
+        let few = found(FEWEST_POINTS - 1);
+        assert!(matches!(few, Err(Error::MapErrorUnknown { .. })), "{few:?}");
     }
 
     #[test]

@@ -3,7 +3,7 @@ use lsfb_geometry::{Rig, Se3};
 use super::acceptance::{Agreement, FirstMatches};
 use super::config::LocalizerConfig;
 use super::guided_matching::{GuidedConfig, GuidedPose, Query};
-use super::map_error::MapError;
+use super::map_error::{FEWEST_POINTS, MapError};
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 use super::ransac::estimate_pose;
@@ -53,13 +53,18 @@ struct MatchedQuery<'a> {
 }
 
 impl Localizer {
-    /// A localizer in `map`; refuses a configuration without meaning.
+    /// A localizer in `map`; refuses a configuration without meaning, and a map of which nothing tells how far its own images are off: no
+    /// pose in it would have a covariance.
     pub fn new(map: &HdMap, config: &LocalizerConfig) -> Result<Self, Error> {
         config.check_bounds("localizer")?;
+        let map_error = MapError::of(map, &config.ransac.refinement);
+        let map_error = map_error.ok_or(Error::MapErrorUnknown {
+            needed: FEWEST_POINTS,
+        })?;
         Ok(Self {
             map: map.clone(),
             places: Places::new(map),
-            map_error: MapError::of(map, &config.ransac.refinement),
+            map_error,
             config: config.clone(),
         })
     }

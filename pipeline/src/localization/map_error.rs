@@ -27,7 +27,7 @@ pub(super) struct MapError {
 
 /// Images that are looked at, at most, and points that each must have.
 const IMAGES: usize = 200;
-const FEWEST_POINTS: usize = 15;
+pub(super) const FEWEST_POINTS: usize = 15;
 /// Other images that must have seen a point: with fewer of them the image had a word in what it is compared with.
 const FEWEST_OTHERS: usize = 3;
 /// Variance of what a query is off by, in units of what images of the map are seen to be off by. From 2 to 3 the regions of 95 % hold 95 to
@@ -48,8 +48,8 @@ struct Offset {
 }
 
 impl MapError {
-    /// Of a map; nothing where its images have too few points in common.
-    pub fn of(map: &HdMap, config: &RefinementConfig) -> Self {
+    /// Of a map; `None` where its images have too few points in common to tell.
+    pub fn of(map: &HdMap, config: &RefinementConfig) -> Option<Self> {
         let mut images: BTreeMap<(u32, u16), Vec<MapObservation>> = BTreeMap::new();
         for observation in (0..map.point_count() as u32).flat_map(|p| map.observations(p)) {
             let image = (observation.keyframe, observation.camera);
@@ -74,12 +74,12 @@ impl MapError {
         };
         let sigma = |length: fn(&Offset) -> f64| {
             let lengths = offsets.iter().map(length).collect();
-            unseen.sqrt() * quantile(lengths, QUANTILE).unwrap_or(0.0) / QUANTILE_PER_SIGMA
+            Some(unseen.sqrt() * quantile(lengths, QUANTILE)? / QUANTILE_PER_SIGMA)
         };
-        Self {
-            rotation_rad: sigma(|o| o.rotation_rad),
-            translation_m: sigma(|o| o.translation_m),
-        }
+        Some(Self {
+            rotation_rad: sigma(|o| o.rotation_rad)?,
+            translation_m: sigma(|o| o.translation_m)?,
+        })
     }
 
     /// This share of it.

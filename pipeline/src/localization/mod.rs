@@ -27,6 +27,7 @@ mod sequence;
 mod shared_errors;
 mod voting;
 
+pub use crate::frames::images_of_instants;
 pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
 #[cfg(test)]

@@ -13,7 +13,7 @@ use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
-use crate::frames::{FeatureFrame, read_frames, times_apart};
+use crate::frames::{FeatureFrame, ImageClock, read_frames, times_apart};
 use crate::kept_stages::KeptStages;
 use crate::posed_images::{PosedImages, QueryImage, read_image};
 
@@ -188,7 +188,7 @@ pub fn localize_images(
 /// What became of the images of one instant of a walk.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InstantLocalization {
-    /// When they were taken.
+    /// When they were taken, by the rig's clock.
     pub time: Timestamp,
     /// The pose found in the map.
     pub found: Result<Localization, NotLocalized>,
@@ -225,7 +225,7 @@ pub fn localize_recording_in_stages(
 ) -> Result<WalkLocalization, Error> {
     let rig = recording.rig()?;
     localizer.map().expect_feature(&detector.feature())?;
-    let read = read_frames(recording, &rig, detector, stages, progress)?;
+    let read = read_frames(recording, &rig, ImageClock::Rig, detector, stages, progress)?;
     let found = localize_frames(localizer, &read.frames, &rig, stages, progress)?;
     let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
     let found = refuse_contradicted(&times, found);

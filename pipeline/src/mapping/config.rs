@@ -49,7 +49,8 @@ pub struct MappingConfig {
     pub odometry_rotation_sigma_deg: f64,
     /// Standard deviation of the odometry's translation, metres per square root of a second.
     pub odometry_translation_sigma_m: f64,
-    /// How often correspondences are sought anew at most, until the keyframes rest; ten times at least from a trajectory that is given to start from.
+    /// How often correspondences are sought anew at most: until the keyframes rest, and with them matches and cost; ten times at least from a
+    /// trajectory that is given to start from.
     pub outer_iterations: usize,
     /// Largest reprojection error of an observation in the map, pixels.
     pub max_reprojection_px: f64,
@@ -134,7 +135,7 @@ impl Default for MappingConfig {
             revisit_distance_m: 2.0,
             odometry_rotation_sigma_deg: 0.2,
             odometry_translation_sigma_m: 0.01,
-            outer_iterations: 3,
+            outer_iterations: 10,
             max_reprojection_px: 3.0,
             solver: SolveConfig {
                 max_iterations: 20,

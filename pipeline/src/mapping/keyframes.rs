@@ -10,6 +10,7 @@ use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
 use super::{MappingConfig, MappingWarning};
 use crate::Error;
 use crate::features::{FeatureDetector, Features};
+use crate::frames::clock_offsets_ns;
 use crate::hd_map::KeyframeImage;
 use crate::lidar_features::LidarFeatures;
 use crate::odometry::Damages;
@@ -129,20 +130,15 @@ fn moments(trajectory: &Trajectory, distance_m: f64, angle_rad: f64) -> Vec<Time
 
 /// What the rig file adds to the stamps of each camera. Clocks that differ by less than [`ONE_CLOCK_S`] keep the images of one trigger
 /// together: one keyframe, not four.
-fn clock_offsets_ns(rig: &Rig, cameras: &[String]) -> Vec<i64> {
-    let own = cameras.iter().map(|name| {
-        let camera = rig.cameras.get(name);
-        camera.map_or(0.0, |camera| camera.timing.rig_from_camera_s)
+fn keyframe_offsets_ns(rig: &Rig, cameras: &[&str]) -> Vec<i64> {
+    let own_ns = clock_offsets_ns(rig, cameras);
+    let middle_ns = median(own_ns.iter().map(|ns| *ns as f64).collect()).unwrap_or(0.0);
+    let is_shared = |ns: i64| (ns as f64 - middle_ns).abs() < 1e9 * ONE_CLOCK_S;
+    let shared = own_ns.into_iter().map(|ns| match is_shared(ns) {
+        true => middle_ns.round() as i64,
+        false => ns,
     });
-    let own: Vec<f64> = own.collect();
-    let middle = median(own.clone()).unwrap_or(0.0);
-    let shared = |offset_s: f64| match (offset_s - middle).abs() < ONE_CLOCK_S {
-        true => middle,
-        false => offset_s,
-    };
-    own.into_iter()
-        .map(|s| (shared(s) * 1e9).round() as i64)
-        .collect()
+    shared.collect()
 }
 
 /// Chooses keyframes along the trajectory and detects the features of their images.
@@ -181,7 +177,7 @@ pub(super) fn choose_keyframes(
         Ok(())
     };
     let rig = recording.rig()?;
-    let offsets_ns = clock_offsets_ns(&rig, cameras);
+    let offsets_ns = keyframe_offsets_ns(&rig, &names);
     for item in recording.images_of(&names)? {
         let Some(mut item) = damages.keep(item) else {
             continue;

@@ -13,6 +13,8 @@ mod pose_covariance;
 mod posed_scans;
 mod report;
 mod reprojection_errors;
+mod residuals;
+mod residuals_by_part;
 mod rig_check;
 mod scan_check;
 mod scan_offsets;
@@ -25,7 +27,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
+use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
@@ -56,8 +58,10 @@ use keyframes::{Keyframes, choose_keyframes, find_cameras};
 use pose_covariance::{mark_covariance, pose_covariances};
 pub use posed_scans::{PosedScan, RefinedScans, ScanPoseConfig, ScanPoseReport, refine_scan_poses};
 use report::USUAL_OUTLIER_SHARE;
-pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
-use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
+pub use report::{MappingReport, MappingWarning, RoundReport};
+use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors};
+pub use residuals::{CameraResiduals, LidarResiduals, PixelResiduals, RegionResiduals};
+use residuals_by_part::{Measured, Moment, Regions, put_coverage};
 use rig_check::{Checked, ShownCameras, camera_errors};
 use scan_check::offsets_of_scans;
 pub use scan_offsets::ScanOffsets;
@@ -190,6 +194,7 @@ pub fn build_map_in_stages(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
+    let regions = Regions::of(&before);
     let (optimised, mut report) = stages.once("adjusted", || {
         if let Some(lidar) = rig.lidar() {
             add_lidar_features(
@@ -216,6 +221,7 @@ pub fn build_map_in_stages(
                 stages,
                 name,
                 control,
+                regions: &regions,
             };
             optimise(rig, keyframes, trajectory, config, report, &run, progress)
         };
@@ -282,6 +288,9 @@ pub fn build_map_in_stages(
         trajectory = Trajectory::new(moved(trajectory.poses().iter(), &site_from_world));
         for point in &mut points {
             point.point_in_world = site_from_world * point.point_in_world;
+        }
+        for region in &mut report.by_region {
+            region.center_m = (site_from_world * Vector3::from(region.center_m)).into();
         }
         site
     });
@@ -482,6 +491,7 @@ struct Run<'a> {
     stages: &'a KeptStages,
     name: &'static str,
     control: Option<&'a Control>,
+    regions: &'a Regions,
 }
 
 /// Where Eq. (4) stands behind one of its rounds.
@@ -589,7 +599,16 @@ fn optimise(
         let lidar = lidar_residuals(&keyframes.frames, &scans);
         let errors_px = observation_errors_px(rig, keyframes, &points);
         if report.rounds.is_empty() {
-            let errors_px = track_errors_px(rig, keyframes, &points, &tracks);
+            let errors = track_errors(rig, keyframes, &points, &tracks);
+            let measured = Measured {
+                keyframes,
+                errors: &errors,
+                scans: &scans,
+                max_px,
+            };
+            measured.by_camera(Moment::Before, &mut report.by_camera);
+            measured.by_region(run.regions, Moment::Before, &mut report.by_region);
+            let errors_px: Vec<f64> = errors.iter().map(|e| e.px).collect();
             let errors = ErrorSummary::of(&errors_px, max_px);
             report.reprojection_rms_before_px = errors.rms_px;
             report.reprojection_median_before_px = errors.median_px;
@@ -736,12 +755,22 @@ fn optimise(
             Vec::new()
         }
     };
-    report.reprojection_errors_px = track_errors_px(rig, keyframes, &points, &tracks);
+    let errors = track_errors(rig, keyframes, &points, &tracks);
+    let measured = Measured {
+        keyframes,
+        errors: &errors,
+        scans: &scans,
+        max_px,
+    };
+    measured.by_camera(Moment::After, &mut report.by_camera);
+    measured.by_region(run.regions, Moment::After, &mut report.by_region);
+    report.reprojection_errors_px = errors.iter().map(|e| e.px).collect();
     let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
     report.reprojection_rms_px = errors.rms_px;
     report.reprojection_median_px = errors.median_px;
     report.outlier_share = errors.share_beyond;
     drop_outliers(rig, keyframes, &mut points, max_px);
+    put_coverage(run.regions, keyframes, &points, &mut report.by_region);
     report.points = points.len() as u64;
     report.observations = points.iter().map(|p| p.observations.len() as u64).sum();
     let all = report.reprojection_errors_px.len() as u64;

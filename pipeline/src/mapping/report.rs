@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera_error::CameraError;
 use super::control::ControlReport;
+use super::residuals::{CameraResiduals, LidarResiduals, RegionResiduals};
 use super::scan_offsets::ScanOffsets;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
@@ -50,6 +51,12 @@ pub struct MappingReport {
     pub lidar_before: LidarResiduals,
     /// Residuals of the LiDAR terms of the map.
     pub lidar_after: LidarResiduals,
+    /// Reprojection errors by camera.
+    #[serde(default)]
+    pub by_camera: Vec<CameraResiduals>,
+    /// Reprojection errors, residuals of the LiDAR terms, and coverage by region, in the order of the way.
+    #[serde(default)]
+    pub by_region: Vec<RegionResiduals>,
     /// By how much the cameras differ from the rig file, as the images show it.
     pub cameras: Vec<CameraError>,
     /// Cameras that were taken as the images showed them, and by how much they differed from the rig file: [`Self::cameras`] then says what is left.
@@ -106,19 +113,6 @@ impl MappingReport {
         };
         self.odometry.is_whole() && !self.warnings.iter().any(leaves_out)
     }
-}
-
-/// How far LiDAR features lie from what they correspond to in other keyframes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LidarResiduals {
-    /// Plane correspondences.
-    pub plane_matches: u64,
-    /// Root mean square distance from planes, metres.
-    pub plane_rms_m: f64,
-    /// Edge correspondences.
-    pub edge_matches: u64,
-    /// Root mean square distance from edges, metres.
-    pub edge_rms_m: f64,
 }
 
 /// One round of new correspondences and Eq. (4).

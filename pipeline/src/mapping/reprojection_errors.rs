@@ -28,14 +28,22 @@ pub(super) fn drop_outliers(
     points.retain(|p| p.observations.len() >= 2);
 }
 
+/// How far off one keypoint is.
+#[derive(Clone, Copy)]
+pub(super) struct KeypointError {
+    /// Index of its image.
+    pub image: usize,
+    pub px: f64,
+}
+
 /// Reprojection errors of every keypoint of every track that has a point, in order of the points: of those that the
 /// triangulation left out, too. The image's diagonal stands for a point behind the camera.
-pub(super) fn track_errors_px(
+pub(super) fn track_errors(
     rig: &Rig,
     keyframes: &Keyframes,
     points: &[MapPoint],
     tracks: &[Track],
-) -> Vec<f64> {
+) -> Vec<KeypointError> {
     let keypoint = |o: &PointObservation| TrackedKeypoint {
         image: o.image as u32,
         keypoint: o.keypoint,
@@ -55,7 +63,10 @@ pub(super) fn track_errors_px(
                 keypoint: k.keypoint,
             };
             let error_px = reprojection_px(rig, keyframes, &seen, &point.point_in_world);
-            error_px.min(diagonal_px(rig, keyframes, seen.image))
+            KeypointError {
+                image: seen.image,
+                px: error_px.min(diagonal_px(rig, keyframes, seen.image)),
+            }
         })
     });
     errors.collect()

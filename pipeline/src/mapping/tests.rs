@@ -111,6 +111,26 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
         report.reprojection_rms_px < report.reprojection_rms_before_px,
         "{report:?}"
     );
+    // By camera and by region it is the same residuals.
+    let keypoints = report.reprojection_errors_px.len() as u64;
+    let (cameras, regions) = (&report.by_camera, &report.by_region);
+    assert_eq!(
+        cameras.iter().map(|c| c.after.count).sum::<u64>(),
+        keypoints
+    );
+    assert_eq!(
+        regions.iter().map(|r| r.after.count).sum::<u64>(),
+        keypoints
+    );
+    assert!(cameras.iter().all(|c| c.after.rms_px < c.before.rms_px));
+    let planes = |of: fn(&RegionResiduals) -> u64| regions.iter().map(of).sum::<u64>();
+    let (before, after) = (report.lidar_before, report.lidar_after);
+    assert_eq!(
+        planes(|r| r.lidar_before.plane_matches),
+        before.plane_matches
+    );
+    assert_eq!(planes(|r| r.lidar_after.plane_matches), after.plane_matches);
+    assert_eq!(planes(|r| r.keyframes), report.keyframes);
     assert_eq!(result.map.point_count() as u64, report.points);
     assert_eq!(result.map.observation_count() as u64, report.observations);
     assert!(report.points > 500, "{report:?}");

@@ -5,7 +5,7 @@ use lsfb_geometry::{StampedPose, so3};
 use super::MappingConfig;
 use super::config::CorrelationConfig;
 use super::keyframes::Keyframe;
-use super::report::LidarResiduals;
+use super::residuals::LidarResiduals;
 use super::scan_pairs::Compared;
 use lsfb_perception::statistics::median;
 
@@ -92,7 +92,10 @@ impl Weights {
 }
 
 /// How far apart corresponding LiDAR features lie at the current poses.
-pub(super) fn lidar_residuals(keyframes: &[Keyframe], scans: &[Compared]) -> LidarResiduals {
+pub(super) fn lidar_residuals<'a>(
+    keyframes: &[Keyframe],
+    scans: impl IntoIterator<Item = &'a Compared>,
+) -> LidarResiduals {
     let mut sums = LidarResiduals::default();
     let (mut plane_squares, mut edge_squares) = (0.0, 0.0);
     for (pair, found) in scans {

@@ -39,6 +39,9 @@ pub struct OdometryReport {
     pub deskew: DeskewReport,
     /// Scans left out: empty, out of order, or before the first inertial sample.
     pub skipped: u64,
+    /// Scans that are the one before once more, number by number.
+    #[serde(default)]
+    pub repeated: u64,
     /// Where the IMU measured nothing for more than a quarter of a second, or the same again and again while the carrier moved: from and until when, seconds
     /// after the first scan. Empty without an IMU.
     #[serde(default)]
@@ -163,6 +166,11 @@ impl OdometryReport {
         if skipped > 0 {
             self.warnings
                 .push(OdometryWarning::Skipped { skipped, scans });
+        }
+        if self.repeated > 0 {
+            let repeated = self.repeated;
+            self.warnings
+                .push(OdometryWarning::Repeated { repeated, scans });
         }
     }
 }

@@ -91,6 +91,13 @@ pub enum OdometryWarning {
         /// Of how many.
         scans: u64,
     },
+    /// Scans are the one before them once more, number by number.
+    Repeated {
+        /// How many.
+        repeated: u64,
+        /// Of how many.
+        scans: u64,
+    },
     /// Scans were used as if the sensor had stood still.
     NotDeskewed {
         /// How many.
@@ -254,6 +261,12 @@ impl OdometryWarning {
                 "skipped",
                 format!(
                     "{skipped} of {scans} scans were empty, out of order, or before the first inertial sample"
+                ),
+            ),
+            Self::Repeated { repeated, scans } => (
+                "repeated-scans",
+                format!(
+                    "{repeated} of {scans} scans are the one before once more, number by number, which no sensor measures: the LiDAR or its driver hung, or files were written twice; the trajectory stands still there whatever the carrier did"
                 ),
             ),
             Self::NotDeskewed {

@@ -167,6 +167,13 @@ impl Said {
         self.findings().into_iter().filter_map(doubt).collect()
     }
 
+    /// Why the trajectory must not be used, a sentence each; empty where nothing forbids it.
+    fn failures(&self) -> Vec<String> {
+        let failed = |f: &Finding| f.verdict == Verdict::Fail;
+        let failed = self.findings().into_iter().filter(failed);
+        failed.map(|finding| finding.sentence()).collect()
+    }
+
     /// Whether the trajectory must not be used.
     pub fn is_failed(&self) -> bool {
         Judgement::new(self.findings()).verdict() == Verdict::Fail
@@ -245,12 +252,12 @@ impl WalkJob<'_> {
         files::write(&cross_check, disagreements(&found))?;
         files::write(&states, states_text(&found))?;
         motion_file::write(&found, &motion)?;
-        provenance.write(self.out)?;
         let beside = [covariances, cross_check, states, motion];
         let said = Said {
             report: found.report.clone(),
             surroundings,
         };
+        provenance.with_failures(said.failures()).write(self.out)?;
         if let Some(path) = self.out_report {
             let page = WalkPage {
                 name: &self.recording.display().to_string(),

@@ -377,6 +377,9 @@ fn from_posed_images(
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
+    provenance_of(folder, &posed, &map, &config)
+        .with_failures(map.failures().to_vec())
+        .write(&arguments.out)?;
     let mut findings = vec![coverage(&map)];
     findings.extend(posed.notes.iter().map(|note| {
         Finding::new("images-left-out", Verdict::Warn, "images", note.clone())
@@ -399,6 +402,24 @@ fn from_posed_images(
         text + &sentences(&judgement)
     })?;
     Ok(Outcome::of(judgement.verdict()))
+}
+
+/// Where a map of posed images comes from: the images are one input, with their poses and cameras, of which the map has the hash.
+fn provenance_of(
+    folder: &Path,
+    posed: &PosedImages,
+    map: &HdMap,
+    config: &PosedMapConfig,
+) -> Provenance {
+    let mut provenance = Provenance::new(config);
+    let name = match crate::files::name_of(folder) {
+        none if none.is_empty() => "images".to_owned(),
+        name => name,
+    };
+    let inputs = &mut provenance.inputs;
+    inputs.insert(name, map.provenance().to_owned());
+    provenance.add_rig(&posed.rig);
+    provenance
 }
 
 /// Cameras that the images showed to be other than the list says.

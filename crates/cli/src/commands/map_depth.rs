@@ -9,7 +9,7 @@ use lsfb_pipeline::surface::{Surface, SurfaceConfig, View};
 use lsfb_recording::{Provenance, read_tum};
 use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
-use super::map_surface::{check_source, insert_scans};
+use super::map_surface::{check_source, expect_sound, insert_scans};
 use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
@@ -86,7 +86,10 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     );
     let scanned = read_tum(&arguments.trajectory)?;
     let poses = match &arguments.poses {
-        Some(path) => read_tum(path)?,
+        Some(path) => {
+            expect_sound(path)?;
+            read_tum(path)?
+        }
         None => scanned.clone(),
     };
     check_source(&arguments.trajectory, &arguments.recording)?;

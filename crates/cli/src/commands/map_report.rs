@@ -1,9 +1,9 @@
 //! The page of a map: residuals before and after Eq. (4), coverage, weak stretches.
 
-use lsfb_eval::report::{Course, Distribution, Figure, Provenance, Report, Track};
+use lsfb_eval::report::{Course, Distribution, Figure, Provenance, Report, Table, Track};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::mapping::{MappingReport, RoundReport};
+use lsfb_pipeline::mapping::{MappingReport, PixelResiduals, RoundReport};
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::map_control;
@@ -90,6 +90,7 @@ impl MapPage<'_> {
             .chain(marked_figures)
             .collect(),
             courses: courses(report),
+            tables: vec![by_camera(report), by_region(report)],
             map_points: self.map.positions().collect(),
             tracks: vec![
                 track("scanner", coverage.keyframes.clone()),
@@ -208,6 +209,103 @@ fn distribution(
         quantity: quantity.to_owned(),
         unit: unit.to_owned(),
         values: values.collect(),
+    }
+}
+
+/// Reprojection of each camera before and after Eq. (4).
+fn by_camera(report: &MappingReport) -> Table {
+    let rows = report.by_camera.iter().map(|camera| {
+        let mut row = vec![camera.camera.clone(), camera.after.count.to_string()];
+        row.extend(pixels(&camera.before));
+        row.extend(pixels(&camera.after));
+        row
+    });
+    table(
+        "Residuals by camera",
+        &["camera", "keypoints"],
+        &PIXELS,
+        rows.collect(),
+    )
+}
+
+/// Residuals before and after Eq. (4), and coverage, of each region on the way.
+fn by_region(report: &MappingReport) -> Table {
+    let rows = report.by_region.iter().map(|region| {
+        let [x, y, z] = region.center_m;
+        let is_weak = region.fewest_observations < MIN_OBSERVATIONS_PER_KEYFRAME;
+        let mut row = vec![
+            format!("({x:.1}, {y:.1}, {z:.1})"),
+            region.keyframes.to_string(),
+            format!("{:.0}", region.median_observations),
+            format!(
+                "{}{}",
+                region.fewest_observations,
+                if is_weak { ": weak" } else { "" }
+            ),
+        ];
+        row.extend(pixels(&region.before));
+        row.extend(pixels(&region.after));
+        let (before, after) = (&region.lidar_before, &region.lidar_after);
+        let distances = [
+            (before.plane_matches, before.plane_rms_m),
+            (after.plane_matches, after.plane_rms_m),
+            (before.edge_matches, before.edge_rms_m),
+            (after.edge_matches, after.edge_rms_m),
+        ];
+        row.extend(distances.map(|(count, rms_m)| measured(count, 1e3 * rms_m, 1)));
+        row
+    });
+    let head = [
+        &PIXELS[..],
+        &[
+            "planes before, mm rms",
+            "planes, mm rms",
+            "edges before, mm rms",
+            "edges, mm rms",
+        ],
+    ];
+    table(
+        "Residuals and coverage by region of 5 m, in the order of the way",
+        &[
+            "centre, m",
+            "keyframes",
+            "observations of a keyframe, median",
+            "fewest",
+        ],
+        &head.concat(),
+        rows.collect(),
+    )
+}
+
+/// What [`pixels`] gives before and after Eq. (4).
+const PIXELS: [&str; 4] = [
+    "reprojection before, px rms",
+    "far off before, %",
+    "reprojection, px rms",
+    "far off, %",
+];
+
+fn pixels(residuals: &PixelResiduals) -> [String; 2] {
+    [
+        measured(residuals.count, residuals.rms_px, 2),
+        measured(residuals.count, 100.0 * residuals.outlier_share, 1),
+    ]
+}
+
+/// A number, or that nothing was measured.
+fn measured(count: u64, value: f64, digits: usize) -> String {
+    match count {
+        0 => "none".to_owned(),
+        _ => format!("{value:.digits$}"),
+    }
+}
+
+fn table(title: &str, first: &[&str], head: &[&str], rows: Vec<Vec<String>>) -> Table {
+    let head = first.iter().chain(head).map(|name| (*name).to_owned());
+    Table {
+        title: title.to_owned(),
+        head: head.collect(),
+        rows,
     }
 }
 

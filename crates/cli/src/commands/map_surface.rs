@@ -51,14 +51,7 @@ pub fn insert_scans(
 
 /// Refuses a trajectory, or clouds, that say themselves, by the provenance beside them, that they are of another recording, or that they are wrong.
 pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
-    let mut beside = trajectory.as_os_str().to_owned();
-    beside.push(".provenance.json");
-    let beside = PathBuf::from(beside);
-    let Ok(text) = std::fs::read_to_string(&beside) else {
-        return Ok(());
-    };
-    // What another program wrote under that name says nothing.
-    let Ok(of_trajectory) = serde_json::from_str::<Provenance>(&text) else {
+    let Some(of_trajectory) = provenance_of(trajectory) else {
         return Ok(());
     };
     let mut own = Provenance::new(&());
@@ -71,15 +64,33 @@ pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
         trajectory.display(),
         sources.keys().cloned().collect::<Vec<_>>().join(" and "),
         recording.display(),
-        beside.display()
+        provenance_path(trajectory).display()
     );
+    expect_sound(trajectory)
+}
+
+/// Refuses a trajectory, or clouds, with which something was found wrong when they were made, as the provenance beside them says.
+pub fn expect_sound(trajectory: &Path) -> anyhow::Result<()> {
+    let failures = provenance_of(trajectory).map_or_else(Vec::new, |p| p.failures);
     anyhow::ensure!(
-        of_trajectory.failures.is_empty(),
+        failures.is_empty(),
         "{} is wrong by what was found when it was made ({}): what is made of it would be wrong too; mend that, and make it again",
         trajectory.display(),
-        of_trajectory.failures.join("; ")
+        failures.join("; ")
     );
     Ok(())
+}
+
+/// What is beside a result; none where there is nothing, or what another program wrote under that name.
+fn provenance_of(result: &Path) -> Option<Provenance> {
+    let text = std::fs::read_to_string(provenance_path(result)).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+fn provenance_path(result: &Path) -> PathBuf {
+    let mut beside = result.as_os_str().to_owned();
+    beside.push(".provenance.json");
+    PathBuf::from(beside)
 }
 
 #[cfg(test)]
@@ -110,5 +121,8 @@ mod tests {
         failed.write(&trajectory).expect("a file");
         let error = check_source(&trajectory, &at("a.mcap")).expect_err("failed");
         assert!(error.to_string().contains("axes are exchanged"), "{error}");
+        // Where it is not asked of which recording it is, too.
+        let error = expect_sound(&trajectory).expect_err("failed").to_string();
+        assert!(error.contains("axes are exchanged"), "{error}");
     }
 }

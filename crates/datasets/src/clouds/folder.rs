@@ -16,7 +16,7 @@ const LISTS: [&str; 2] = ["times.txt", "timestamps.txt"];
 /// Where the times of the scans of a folder come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScanTimes {
-    /// Points carry times since an epoch.
+    /// Points carry readings of a clock.
     Points,
     /// The names of the files are times since an epoch.
     Names,
@@ -92,18 +92,15 @@ impl CloudFolder {
             .zip(&self.stamps)
             .map(move |(path, stamp)| {
                 let cloud = read_cloud(path)?;
-                let time = match cloud.times {
-                    PointTimes::Field {
-                        begins: TimesBegin::At(time),
-                        ..
-                    } => {
-                        self.points_told.set(true);
-                        time
-                    }
-                    PointTimes::Field {
-                        begins: TimesBegin::AfterStamp { nanos },
-                        ..
-                    } => stamp.plus_nanos(nanos),
+                let time = match &cloud.times {
+                    // A clock that counts from anything but 1970 is not that of names or of a list, and better than a rate.
+                    PointTimes::Field { begins, .. } => match (begins, begins.since_1970()) {
+                        (_, Some(time)) => self.told_by_points(time),
+                        (TimesBegin::At(time), None) if self.stamped_by == ScanTimes::Rate => {
+                            self.told_by_points(*time)
+                        }
+                        _ => cloud.times.begins(*stamp),
+                    },
                     PointTimes::Absent | PointTimes::Unusable { .. } => *stamp,
                 };
                 if last.is_some_and(|last| time <= last) {
@@ -116,6 +113,11 @@ impl CloudFolder {
                     cloud,
                 })
             })
+    }
+
+    fn told_by_points(&self, time: Timestamp) -> Timestamp {
+        self.points_told.set(true);
+        time
     }
 
     /// Where the times of the scans come from: of those that were read so far.

@@ -7,6 +7,7 @@ mod las;
 mod lzf;
 mod pcd;
 mod ply;
+mod text;
 
 use std::path::Path;
 
@@ -116,28 +117,6 @@ impl Packed {
             rows: 1,
             data: &self.data,
         }
-    }
-}
-
-/// Numbers of text, a line a point, as doubles; of each line the words at `columns`.
-fn doubles_of_lines(text: &[u8], points: usize, columns: &[usize]) -> Result<Vec<u8>, String> {
-    let text = String::from_utf8_lossy(text);
-    let lines = text.lines().filter(|line| !line.trim().is_empty());
-    let mut data = Vec::new();
-    let mut found = 0;
-    for line in lines.take(points) {
-        found += 1;
-        let words: Vec<&str> = line.split_whitespace().collect();
-        for column in columns {
-            let number = words.get(*column).and_then(|w| w.parse().ok());
-            data.extend(number.unwrap_or(f64::NAN).to_le_bytes());
-        }
-    }
-    match found == points {
-        true => Ok(data),
-        false => Err(format!(
-            "{found} points where the header announces {points}"
-        )),
     }
 }
 

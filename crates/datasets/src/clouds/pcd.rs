@@ -2,7 +2,8 @@
 
 use lsfb_recording::cloud::{ByteOrder, MAX_POINTS, NumberKind, PackedField};
 
-use super::{Packed, doubles_of_lines, lzf};
+use super::text::Lines;
+use super::{Packed, lzf};
 
 const MAX_HEADER_BYTES: usize = 4096;
 
@@ -33,8 +34,23 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
     let header = header(bytes)?;
     let data = bytes.get(header.data_at..).unwrap_or_default();
     if header.writing == Writing::Text {
-        let words: Vec<usize> = header.columns.iter().map(|c| c.word).collect();
-        let data = doubles_of_lines(data, header.points, &words)?;
+        let is_point = |line: &&[u8]| !line.trim_ascii().is_empty();
+        let found = data.split(|b| *b == b'\n').filter(is_point).count();
+        if found > header.points {
+            return Err(format!(
+                "{found} points where the header announces {}",
+                header.points
+            ));
+        }
+        let columns: Vec<usize> = header.columns.iter().map(|c| c.word).collect();
+        let before = bytes.get(..header.data_at).unwrap_or_default();
+        let lines = Lines {
+            header: before.iter().filter(|b| **b == b'\n').count(),
+            points: header.points,
+            words: header.columns.iter().map(|c| c.count).sum(),
+            columns: &columns,
+        };
+        let data = lines.doubles(data)?;
         let names = header.columns.iter().map(|c| c.field.name.as_str());
         return Ok(Packed::of_doubles(names, data));
     }

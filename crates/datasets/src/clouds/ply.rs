@@ -2,7 +2,8 @@
 
 use lsfb_recording::cloud::{ByteOrder, MAX_POINTS, NumberKind, PackedField};
 
-use super::{Packed, doubles_of_lines};
+use super::Packed;
+use super::text::Lines;
 
 /// Lines of a header at most.
 const MAX_HEADER_LINES: usize = 1_000;
@@ -69,7 +70,14 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
     match writing.ok_or("no line format")? {
         Writing::Text => {
             let columns: Vec<usize> = (0..fields.len()).collect();
-            let data = doubles_of_lines(rest, points, &columns)?;
+            let before = bytes.get(..bytes.len() - rest.len()).unwrap_or_default();
+            let lines = Lines {
+                header: before.iter().filter(|b| **b == b'\n').count(),
+                points,
+                words: columns.len(),
+                columns: &columns,
+            };
+            let data = lines.doubles(rest)?;
             Ok(Packed::of_doubles(
                 fields.iter().map(|f| f.name.as_str()),
                 data,

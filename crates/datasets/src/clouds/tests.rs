@@ -129,6 +129,76 @@ fn every_kind_of_file_says_the_same() {
     }
 }
 
+/// Naively words that are no numbers, and those that are not there, were returns that did not come: their points vanished.
+#[test]
+fn text_that_is_no_number_is_named_by_its_line() {
+    let with = |name: &str, line: &str| {
+        let header = match name {
+            "a.pcd" => pcd_header("ascii"),
+            _ => ply_header("ascii"),
+        };
+        read(
+            name,
+            format!("{header}1 2 3 40 0.02\n\n{line}\n").as_bytes(),
+        )
+    };
+    for (name, number) in [("a.pcd", 13), ("a.ply", 15)] {
+        for (line, words) in [
+            ("1,5 2 0.5 255 0.1", "\"1,5\" is no number"),
+            ("1 2 0.5 255 x", "\"x\" is no number"),
+            ("1 2 0.5", "3 words where the header announces 5"),
+            ("1 2 0.5 255 0.1 7", "6 words where the header announces 5"),
+        ] {
+            let error = with(name, line).expect_err(line).to_string();
+            let place = format!("line {number}: {words}");
+            assert!(error.contains(name) && error.contains(&place), "{error}");
+        }
+        for line in [
+            "nan nan nan 0 0",
+            "-nan(ind) 2 0.5 0 0",
+            "1.#QNAN inf 2 0 0",
+        ] {
+            let cloud = with(name, line).expect(line);
+            assert_eq!(cloud.scan.points.len(), 1, "{line}");
+        }
+    }
+    let error = with("a.pcd", "1 2 0.5 255 0.1\n1 2 0.5 255 0.1").expect_err("a third");
+    assert!(error.to_string().contains("3 points where"), "{error}");
+}
+
+/// Naively seconds of a week were added to the name of a file, or to the time by which it is the n-th.
+#[test]
+fn clocks_that_count_from_elsewhere_are_no_offsets_of_a_folder() {
+    for (names, told, seconds) in [
+        (
+            ["0.pcd", "1.pcd"],
+            ScanTimes::Points,
+            [302_400.0, 302_400.2],
+        ),
+        (
+            ["1700000000.0.pcd", "1700000000.2.pcd"],
+            ScanTimes::Names,
+            [1_700_000_000.0, 1_700_000_000.2],
+        ),
+    ] {
+        let folder = tempfile::tempdir().expect("folder");
+        for (name, second) in names.iter().zip([302_400.0, 302_400.2]) {
+            let times = [second, second + 0.1].map(|t: f64| format!("{t:.3}"));
+            let text = ascii_pcd(1, [&times[0], &times[1]]);
+            std::fs::write(folder.path().join(name), text).expect("cloud");
+        }
+        let clouds = CloudFolder::open(folder.path(), 10.0).expect("clouds");
+        let scans: Vec<FileScan> = clouds.scans().map(|s| s.expect("a scan")).collect();
+        for (scan, second) in scans.iter().zip(seconds) {
+            let expected = lsfb_types::Timestamp::from_secs_f64(second);
+            assert!(scan.time.secs_since(expected).abs() < 1e-6, "{second}");
+            let last_ns = scan.cloud.scan.points[1].time_offset_ns;
+            assert!(last_ns.abs_diff(100_000_000) < 300, "{last_ns}");
+        }
+        assert_eq!(clouds.scan_times(), told);
+    }
+}
+
 #[test]
 fn bare_numbers_are_read_where_they_can_be_a_scan() {
     let kitti: Vec<u8> = [[1.0_f32, 2.0, 3.0, 40.0], [-1.0, -2.0, 0.5, 255.0]]

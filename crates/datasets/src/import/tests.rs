@@ -341,6 +341,55 @@ fn trajectories_are_not_replaced_and_lose_no_pose() {
     assert!(error.contains("1 of 2 poses"), "{error}");
 }
 
+/// Naively offsets counted from the stamp, which is that of the last point: every point a turn late. And a clock of the sensor's own.
+#[test]
+fn clouds_begin_where_the_times_of_their_points_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let sensors = folder.path().join("sensors");
+    let data = sensors.join("records_data");
+    std::fs::create_dir_all(&data).expect("a folder");
+    let mut list = String::new();
+    for (second, first) in [(1, -0.1), (2, -0.1), (3, 302_400.0)] {
+        let name = format!("{second}.pcd");
+        let last = first + 0.1;
+        let text = format!(
+            "VERSION 0.7\nFIELDS x y z time\nSIZE 4 4 4 8\nTYPE F F F F\nPOINTS 2\nDATA ascii\n1 1 2 {first}\n1 2 2 {last}\n"
+        );
+        std::fs::write(data.join(&name), text).expect("cloud");
+        list += &format!("{second}, lidar, {name}\n");
+    }
+    let listed = "# kapture format: 1.1\nlidar, , lidar\n";
+    std::fs::write(sensors.join("sensors.txt"), listed).expect("file");
+    std::fs::write(sensors.join("records_lidar.txt"), list).expect("file");
+    let out = folder.path().join("walk.mcap");
+    let config = ImportConfig {
+        stamp_unit: Some(StampUnit::Seconds),
+        ..ImportConfig::default()
+    };
+    let report = import(folder.path(), &out, &config, &no_progress).expect("an import");
+    let recording = Recording::open(&out).expect("a recording");
+    let scans = recording.scans_of("lidar").expect("scans");
+    let found: Vec<(i64, u32)> = scans
+        .map(|scan| {
+            let scan = scan.expect("a scan");
+            (scan.time.nanos(), scan.sample.points[1].time_offset_ns)
+        })
+        .collect();
+    for ((time_ns, last_ns), expected) in
+        found
+            .into_iter()
+            .zip([900_000_000_i64, 1_900_000_000, 3_000_000_000])
+    {
+        assert!(time_ns.abs_diff(expected) < 300, "{time_ns}");
+        assert!(last_ns.abs_diff(100_000_000) < 300, "{last_ns}");
+    }
+    let said = report.notes.join("; ");
+    assert!(
+        said.contains("the points of 1 scans have times of another clock"),
+        "{said}"
+    );
+}
+
 #[test]
 fn stamps_in_another_unit_are_refused() {
     for (case, unit) in [("microseconds", 1_000), ("milliseconds", 1_000_000)] {

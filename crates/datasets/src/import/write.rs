@@ -5,7 +5,7 @@ use std::path::Path;
 
 use lsfb_recording::message::{self, FrameMeta};
 use lsfb_recording::{Channel, Writer, WriterConfig};
-use lsfb_types::{Image, LidarScan, Progress, ProgressFn, Stamped};
+use lsfb_types::{Image, Progress, ProgressFn, Stamped};
 
 use super::collected::Collected;
 use super::payload::{ImageRecord, Payload, Pixels};
@@ -44,6 +44,7 @@ pub(super) fn write(
         collected,
         device: said.device,
         videos: BTreeMap::new(),
+        of_two_clocks: 0,
     };
     if let Some(rig) = writing.collected.rig.clone() {
         writing.writer.attach_rig(&rig)?;
@@ -70,6 +71,12 @@ pub(super) fn write(
             }
         }
     }
+    if writing.of_two_clocks > 0 {
+        writing.collected.notes.push(format!(
+            "the points of {} scans have times of another clock than their stamps: of them only the differences are used",
+            writing.of_two_clocks
+        ));
+    }
     writing.say(said, &streams)?;
     writing.writer.finish()?;
     writing.collected.streams = streams;
@@ -86,6 +93,8 @@ struct Writing<'a> {
     device: &'a str,
     /// Videos that are being decoded.
     videos: BTreeMap<usize, Frames>,
+    /// Clouds whose points have times of another clock than their stamps.
+    of_two_clocks: u64,
 }
 
 impl Writing<'_> {
@@ -210,14 +219,16 @@ impl Writing<'_> {
             Err(error) => return Ok(Err(error.to_string())),
         };
         let lidar = topic.trim_end_matches("/points");
-        let scan: LidarScan = cloud.scan;
+        if cloud.times.has_two_clocks(record.time) {
+            self.of_two_clocks += 1;
+        }
         self.writer.write_scan(
             lidar,
             &Stamped {
-                time: record.time,
+                time: cloud.times.begins(record.time),
                 arrival: record.arrival,
                 device_ticks: 0,
-                sample: scan,
+                sample: cloud.scan,
             },
         )?;
         Ok(Ok(()))

@@ -29,8 +29,42 @@ pub enum TimesBegin {
         /// Nanoseconds.
         nanos: i64,
     },
-    /// At an instant of a clock that counts from an epoch.
+    /// At this reading of a clock, whatever it counts from: 1970, a week's begin, the sensor's own start.
     At(Timestamp),
+}
+
+impl PointTimes {
+    /// When the offsets of the points are zero, in a cloud with this stamp. A clock's reading agrees with the stamp to a scan, or is
+    /// that of another clock than the stamp's: then the stamp holds.
+    pub fn begins(&self, stamp: Timestamp) -> Timestamp {
+        match self {
+            Self::Field { begins, .. } => match begins {
+                TimesBegin::AfterStamp { nanos } => stamp.plus_nanos(*nanos),
+                TimesBegin::At(time) if is_same_clock(*time, stamp) => *time,
+                TimesBegin::At(_) => stamp,
+            },
+            Self::Absent | Self::Unusable { .. } => stamp,
+        }
+    }
+
+    /// Whether the points have times of another clock than the stamp.
+    pub fn has_two_clocks(&self, stamp: Timestamp) -> bool {
+        matches!(self, Self::Field { begins: TimesBegin::At(time), .. } if !is_same_clock(*time, stamp))
+    }
+}
+
+impl TimesBegin {
+    /// The instant, where it is a time since 1970.
+    pub fn since_1970(&self) -> Option<Timestamp> {
+        match self {
+            Self::At(time) if *time > EPOCH => Some(*time),
+            Self::At(_) | Self::AfterStamp { .. } => None,
+        }
+    }
+}
+
+fn is_same_clock(time: Timestamp, stamp: Timestamp) -> bool {
+    time.secs_since(stamp).abs() < SAME_CLOCK_S
 }
 
 /// Names of fields of times in lower case without `_`: Ouster, Velodyne, Hesai, RoboSense and Livox drivers, and their conversions.
@@ -52,8 +86,15 @@ const NAMES: [&str; 12] = [
 const UNITS_S: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-9];
 /// Shortest and longest time that the points of one scan may take, seconds.
 const SPAN_S: [f64; 2] = [0.004, 1.5];
-/// Later than this after its beginning, a clock counts from an epoch, seconds.
-const EPOCH_S: f64 = 1e8;
+/// Farther than this from zero no scan begins after its stamp, seconds: it is the reading of a clock. The longest scan; one whose stamp
+/// is that of its last point begins so much before it.
+const FARTHEST_OFFSET_S: f64 = SPAN_S[1];
+/// A scan and the way of its message to the recorder take less, seconds.
+const SAME_CLOCK_S: f64 = 2.0;
+/// No clock counts so far, seconds: the year 2255.
+const LATEST_S: f64 = 9e9;
+/// Later than this a clock counts from 1970 (three years later), and neither from a week's begin nor from a start.
+const EPOCH: Timestamp = Timestamp::from_nanos(100_000_000_000_000_000);
 
 /// Whether a field's name is that of times.
 pub(super) fn is_time(name: &str) -> bool {
@@ -76,7 +117,10 @@ pub(super) fn point_times(
     let returns = || (0..).zip(values).filter(|(k, _)| is_return(*k));
     let first = returns().map(|(_, v)| *v).fold(f64::INFINITY, f64::min);
     let last = returns().map(|(_, v)| *v).fold(f64::NEG_INFINITY, f64::max);
-    let fits = |unit_s: &&f64| (SPAN_S[0]..=SPAN_S[1]).contains(&((last - first) * **unit_s));
+    let fits = |unit_s: &&f64| {
+        (SPAN_S[0]..=SPAN_S[1]).contains(&((last - first) * **unit_s))
+            && (first * **unit_s).abs() < LATEST_S
+    };
     let all_known = returns().all(|(_, v)| v.is_finite());
     let Some(unit_s) = UNITS_S.iter().find(fits).filter(|_| all_known) else {
         return (Vec::new(), PointTimes::Unusable { name });
@@ -86,7 +130,7 @@ pub(super) fn point_times(
         .map(|v| ((v.clamp(first, last) - first) * unit_s * 1e9).round() as u32)
         .collect();
     let begins_s = first * unit_s;
-    let begins = if begins_s > EPOCH_S {
+    let begins = if begins_s.abs() > FARTHEST_OFFSET_S {
         TimesBegin::At(Timestamp::from_secs_f64(begins_s))
     } else {
         TimesBegin::AfterStamp {
@@ -108,6 +152,7 @@ mod tests {
             &[0.0, f64::NAN, 0.1],
             &[],
             &[0.0, 1e15],
+            &[1e15, 1e15 + 0.125],
         ] {
             let (offsets, times) = point_times("t", values, |_| true);
             let name = "t".to_owned();
@@ -133,6 +178,30 @@ mod tests {
         let name = "time".to_owned();
         assert_eq!(times, PointTimes::Field { name, begins });
         assert!(is_time("Offset_Time") && is_time("timestamp") && !is_time("intensity"));
+    }
+
+    /// Naively 302 400 s after a week's begin, or 100 s after a start, were added to the stamp, which is of the same clock.
+    #[test]
+    fn readings_of_a_clock_are_no_offsets() {
+        let s = Timestamp::from_secs_f64;
+        for (first_s, stamp_s, begins_s, two_clocks) in [
+            (302_400.0, 302_400.1, 302_400.0, false),
+            (100.0, 100.1, 100.0, false),
+            (302_400.0, 1.7e9, 1.7e9, true),
+            (100.0, 1.7e9, 1.7e9, true),
+            (-100.0, 1.7e9, 1.7e9, true),
+            (-0.1, 1.7e9, 1.7e9 - 0.1, false),
+            (0.07, 100.0, 100.07, false),
+        ] {
+            for unit_s in UNITS_S {
+                let values = [0.0, 0.1].map(|t| (first_s + t) / unit_s);
+                let (offsets, times) = point_times("timestamp", &values, |_| true);
+                assert!(offsets[0] == 0 && offsets[1].abs_diff(100_000_000) < 300);
+                let late_s = times.begins(s(stamp_s)).secs_since(s(begins_s));
+                assert!(late_s.abs() < 1e-6, "{first_s} at {stamp_s}: {late_s}");
+                assert_eq!(times.has_two_clocks(s(stamp_s)), two_clocks, "{first_s}");
+            }
+        }
     }
 
     /// Naively the zeros of rows without a return stretched the scan over fifty years, and no unit fitted.

@@ -2,8 +2,7 @@ use lsfb_types::{LidarScan, Timestamp};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter, Layout};
 use crate::cloud::{
-    ByteOrder, Cloud, CloudError, NumberKind, OWN_FIELDS, PackedCloud, PackedField, PointTimes,
-    TimesBegin,
+    ByteOrder, Cloud, CloudError, NumberKind, OWN_FIELDS, PackedCloud, PackedField,
 };
 
 /// Kinds of numbers by their codes in `sensor_msgs/msg/PointField`, which begin with one.
@@ -18,8 +17,6 @@ const KINDS: [NumberKind; 8] = [
     NumberKind::F64,
 ];
 const POINT_STEP: usize = 24;
-/// A scan and the way of its message to the recorder take less, seconds.
-const SAME_CLOCK_S: f64 = 2.0;
 
 /// `sensor_msgs/msg/PointCloud2`, one row, in firing order.
 pub fn encode_points(time: Timestamp, frame: &str, scan: &LidarScan) -> Vec<u8> {
@@ -65,27 +62,14 @@ pub struct CloudMessage {
 }
 
 impl CloudMessage {
-    /// When the offsets of its points are zero. Clocks that count from an epoch agree with the stamp to a scan, or are others
-    /// than the clock of the messages: then the stamp holds.
+    /// When the offsets of its points are zero.
     pub fn begins(&self) -> Timestamp {
-        match &self.cloud.times {
-            PointTimes::Field { begins, .. } => match begins {
-                TimesBegin::AfterStamp { nanos } => self.stamp.plus_nanos(*nanos),
-                TimesBegin::At(time) if self.counts_as_the_stamp(*time) => *time,
-                TimesBegin::At(_) => self.stamp,
-            },
-            PointTimes::Absent | PointTimes::Unusable { .. } => self.stamp,
-        }
+        self.cloud.times.begins(self.stamp)
     }
 
     /// Whether the points have times of another clock than the stamp.
     pub fn has_two_clocks(&self) -> bool {
-        matches!(&self.cloud.times, PointTimes::Field { begins: TimesBegin::At(time), .. }
-            if !self.counts_as_the_stamp(*time))
-    }
-
-    fn counts_as_the_stamp(&self, time: Timestamp) -> bool {
-        time.secs_since(self.stamp).abs() < SAME_CLOCK_S
+        self.cloud.times.has_two_clocks(self.stamp)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Two maps of one place become one: found by their descriptors, aligned by their points, never on weak evidence.
 
+mod contradictions;
+
 use std::collections::BTreeMap;
 
 use lsfb_geometry::align::{Alignment, Scale, umeyama};
@@ -11,6 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+
+use contradictions::{common_site, expect_other_images};
 
 use super::build::{MapRows, typical};
 use super::{HdMap, HdMapConfig, PointQuality, SearchScratch};
@@ -112,7 +116,8 @@ impl HdMap {
     /// here get a number behind it.
     ///
     /// Refused where the maps share too little, where another alignment is nearly as good (places that repeat), or
-    /// where the alignment would not be known well enough at every keyframe of `second`.
+    /// where the alignment would not be known well enough at every keyframe of `second`; where both are of the same images; where `second`
+    /// alone is surveyed, or its survey puts it elsewhere than its points.
     pub fn merge(
         &self,
         second: &Self,
@@ -153,7 +158,9 @@ impl HdMap {
                 scale_shift_m: report.scale_shift_m,
             });
         }
-        let rows = joined(self, second, &report, &shared, config);
+        expect_other_images(self, second, &shared)?;
+        let mut rows = joined(self, second, &report, &shared, config);
+        rows.site = common_site(self, second, &best, config.gate_m)?;
         let merged = Self::from_rows(rows, &config.map.index, progress)?;
         Ok((merged, report))
     }

@@ -4,8 +4,8 @@ use lsfb_types::{Timestamp, no_progress};
 use super::*;
 use crate::descriptor_index::IndexConfig;
 use crate::features::Feature;
-use crate::hd_map::Region;
 use crate::hd_map::build::PointRow;
+use crate::hd_map::{Region, SiteFrame};
 
 /// A camera that looks along x.
 fn camera(focal_px: f64) -> RigCamera {
@@ -155,6 +155,73 @@ fn two_scans_of_one_hall_become_one_map() {
     let (all, index) = (opened.region().expect("points"), IndexConfig::default());
     let part = opened.crop(&all, &index, &no_progress).expect("points");
     assert_eq!(part.failures(), failures);
+}
+
+/// Naively a map and a crop of it became one in which each observation stood twice, and σ was too small by √2.
+#[test]
+fn maps_of_the_same_images_are_refused() {
+    let map = Hall {
+        world: Se3::identity(),
+        along: 0..14,
+        focal_px: 400.0,
+    }
+    .map(|n| n);
+    let crop = |min_x: f64, max_x: f64| {
+        let region = Region {
+            min: Vector3::new(min_x, -5.0, -5.0),
+            max: Vector3::new(max_x, 5.0, 5.0),
+        };
+        let index = IndexConfig::default();
+        map.crop(&region, &index, &no_progress).expect("points")
+    };
+    for (first, second) in [
+        (&map, &map),
+        (&map, &crop(0.0, 10.0)),
+        (&crop(0.0, 12.0), &crop(6.0, 20.0)),
+    ] {
+        let merged = first.merge(second, &MergeConfig::default(), &no_progress);
+        let Err(Error::SameImages { points, shared }) = merged.map(|(_, report)| report) else {
+            panic!("merged");
+        };
+        assert!(shared >= 50 && points == shared, "{points} of {shared}");
+    }
+}
+
+/// Naively the frame of the survey of one of the maps was lost without a word, or contradicted by the other.
+#[test]
+fn surveys_of_both_maps_are_compared() {
+    let site = |origin_m: [f64; 3], point: &str| SiteFrame {
+        origin_m,
+        control_points: vec![point.to_owned()],
+    };
+    let hall = |world, along, focal_px| {
+        let hall = Hall {
+            world,
+            along,
+            focal_px,
+        };
+        hall.map(|n| n)
+    };
+    let a = hall(Se3::identity(), 0..14, 400.0);
+    let shifted = Se3::new(Se3::identity().rotation, Vector3::new(30.0, -4.0, 1.0));
+    let b = hall(shifted, 8..20, 410.0);
+    let merged = |first: Option<SiteFrame>, second: Option<SiteFrame>| {
+        let (a, b) = (a.clone().with_site(first), b.clone().with_site(second));
+        a.merge(&b, &MergeConfig::default(), &no_progress)
+            .map(|(map, _)| map.site().cloned())
+    };
+    let one = || Some(site([1e6, 2e6, 0.0], "A"));
+    assert_eq!(merged(one(), None).expect("merged"), one());
+    assert_eq!(merged(None, None).expect("merged"), None);
+    let both = merged(one(), Some(site([1e6 - 30.0, 2e6 + 4.0, -1.0], "B"))).expect("merged");
+    let both = both.expect("a frame");
+    assert_eq!(both.origin_m, [1e6, 2e6, 0.0]);
+    assert_eq!(both.control_points, ["A", "B"]);
+    assert!(matches!(merged(None, one()), Err(Error::SurveyedSecond)));
+    let Err(Error::SurveysDisagree { shift_m, .. }) = merged(one(), one()) else {
+        panic!("merged");
+    };
+    assert!((shift_m - Vector3::new(30.0_f64, 4.0, 1.0).norm()).abs() < 0.02);
 }
 
 #[test]

@@ -148,6 +148,8 @@ pub struct OdometryRun {
     ranges: RangeCheck,
     /// How long each scan took, seconds.
     durations_s: Vec<f64>,
+    /// Places of the points of the scan before.
+    last_positions_m: Vec<[f32; 3]>,
     found: Found,
 }
 
@@ -195,6 +197,7 @@ impl OdometryRun {
             config: config.clone(),
             ranges: RangeCheck::default(),
             durations_s: Vec::new(),
+            last_positions_m: Vec::new(),
             found,
         })
     }
@@ -223,6 +226,10 @@ impl OdometryRun {
     fn register(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
         self.ranges.take(&scan.sample, &self.config);
         self.durations_s.push(duration_s(&scan.sample));
+        let positions_m: Vec<[f32; 3]> = scan.sample.points.iter().map(|p| p.position_m).collect();
+        let is_repeated = !positions_m.is_empty() && positions_m == self.last_positions_m;
+        self.found.report.repeated += u64::from(is_repeated);
+        self.last_positions_m = positions_m;
         // Half a second ahead: more than one revolution of the slowest LiDAR.
         let ahead = scan.time.plus_nanos(500_000_000);
         while let Some(sample) = self.waiting_imu.next_if(|s| s.time <= ahead) {

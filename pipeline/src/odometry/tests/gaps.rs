@@ -128,3 +128,24 @@ fn a_piece_of_a_scan_at_the_end_is_none_that_is_lost() {
     let codes: Vec<_> = report.warnings.iter().map(|w| w.finding().code).collect();
     assert_eq!(codes, ["last-piece", "no-imu"]);
 }
+
+/// Naively a LiDAR that hung was a carrier that stood, and nothing was said.
+#[test]
+fn scans_that_are_the_one_before_once_more_are_said() {
+    let (config, room) = (OdometryConfig::default(), Room::furnished());
+    let mut run = OdometryRun::new(&config, &room::lidar(), None).expect("settings");
+    for i in 0..6_u64 {
+        let of = i.min(2);
+        let mut scan = room::scan(&room, 0.1 * of as f64, of);
+        scan.time = scan.time.plus_nanos(100_000_000 * (i - of) as i64);
+        let times = PointTimes::Absent;
+        run.push(TimedScan { scan, times }).expect("scan");
+    }
+    let report = run.finish().expect("a trajectory").report;
+    assert_eq!((report.scans, report.repeated), (6, 3));
+    let codes: Vec<_> = report.warnings.iter().map(|w| w.finding().code).collect();
+    assert!(
+        codes.iter().any(|code| code == "repeated-scans"),
+        "{codes:?}"
+    );
+}

@@ -9,7 +9,7 @@ use lsfb_pipeline::features::FeatureDetector;
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::{
-    Localizer, LocalizerConfig, localize_images, localize_recording_in_stages,
+    Localizer, LocalizerConfig, images_of_instants, localize_images, localize_recording_in_stages,
 };
 use lsfb_pipeline::posed_images::{PosedImages, QueryImage, read_image};
 use lsfb_recording::{Provenance, Recording};
@@ -47,9 +47,6 @@ pub enum Input {
     /// The instants of a walk.
     Walk { walk: Box<Recording>, rig: Box<Rig> },
 }
-
-/// Images of one instant of a walk are at most this far apart.
-const SAME_INSTANT_SECS: f64 = 2e-3;
 
 impl Input {
     /// Reads what the arguments name.
@@ -131,29 +128,16 @@ impl Input {
                 Ok(shown.collect())
             }
             Self::Walk { walk, rig } => {
-                let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
-                let nothing = |frame: &usize| Shown {
-                    name: times
-                        .get(*frame)
-                        .map_or_else(String::new, ToString::to_string),
-                    rig,
-                    images: Vec::new(),
-                };
-                let mut shown: Vec<Shown> = frames.iter().map(nothing).collect();
-                for item in walk.images_of(&cameras)?.flatten() {
-                    let is_here = |frame: &usize| {
-                        let time = times.get(*frame);
-                        time.is_some_and(|time| {
-                            let after_secs = item.image.time.secs_since(*time);
-                            (0.0..=SAME_INSTANT_SECS).contains(&after_secs)
-                        })
-                    };
-                    if let Some(place) = frames.iter().position(is_here) {
-                        let camera = cameras[item.camera].to_owned();
-                        shown[place].images.push((camera, item.image.sample));
-                    }
-                }
-                Ok(shown.into_iter().map(Ok).collect())
+                let images = images_of_instants(walk, rig, times, frames)?;
+                let shown = frames.iter().zip(images).map(|(frame, images)| {
+                    let time = times.get(*frame);
+                    Ok(Shown {
+                        name: time.map_or_else(String::new, ToString::to_string),
+                        rig,
+                        images,
+                    })
+                });
+                Ok(shown.collect())
             }
         }
     }

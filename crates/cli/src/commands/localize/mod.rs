@@ -61,7 +61,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
     /// The rig of a folder of images, instead of the intrinsics in it.
-    #[arg(long, value_name = "TOML")]
+    #[arg(long, value_name = "TOML", conflicts_with = "posed_images")]
     rig: Option<PathBuf>,
     /// Which camera of that rig took the images, where it has several.
     #[arg(long, value_name = "NAME", requires = "rig")]
