@@ -170,7 +170,7 @@ impl Default for GroundTruthConfig {
             min_agreeing_share: 0.3,
             min_recognised_share: 0.2,
             min_rival_margin: 2.0,
-            min_place_margin: 1.3,
+            min_place_margin: 1.2,
             localization_sigma_m: 0.03,
             localization_sigma_rad: 0.01,
             track_steps: vec![1, 3],

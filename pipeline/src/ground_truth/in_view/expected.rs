@@ -219,6 +219,11 @@ mod tests {
         assert_eq!(expected(0.0, 16.0), [0u32; 0], "much nearer");
         assert_eq!(expected(-12.0, 0.0), [1], "a little beyond all");
         assert_eq!(expected(-24.0, 0.0), [0u32; 0], "far beyond all");
+        let aside = |point, x: f64| views.aside_rad(point, &Vector3::new(x, 0.0, 0.0));
+        let angle = |x: f64| (x / 24.0).atan();
+        assert!(aside(1, 0.2).abs() < 1e-6);
+        assert!((aside(0, 5.0) - (angle(5.0) - angle(0.2))).abs() < 1e-6);
+        assert!((aside(1, 5.0) - (angle(9.0) - angle(5.0))).abs() < 1e-6);
     }
 
     /// Glasses whose lens is wider than the scanner's, farther away than it was, did not find a third of what was there.
