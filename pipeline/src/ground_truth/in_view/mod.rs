@@ -396,7 +396,7 @@ mod tests {
         assert_eq!(found.absent_share(), 0.0, "one thing proves nothing");
         let two = judged(
             thing(0.0, false)
-                .chain(thing(2.5, false))
+                .chain(thing(1.5, false))
                 .chain(thing(5.0, true)),
         );
         assert!((two.absent_share() - 0.5).abs() < 1e-9, "{two:?}");
