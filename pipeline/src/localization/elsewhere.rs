@@ -1,12 +1,11 @@
 //! Whether a walk fits the map as well somewhere else.
 //!
 //! A corridor with the same doors and lamps from either end is found at one end in every image alike, and no image says so: those that are nearer to
-//! the map's are found there, whether they were taken there or not. So images of the walk are looked for where they are not said to be, by all
-//! that they may show but what is found where they are said to be: also among the map's images of the same place, as the next of several equal
-//! doors is in the same images. What several of them find by the same move of the whole walk is its next best place. There as
+//! the map's are found there, whether they were taken there or not. So images of the walk are looked for where they are not said to be, among
+//! the map's images that see something else; what several of them find by the same move of the whole walk is its next best place. There as
 //! here, points of the map's images around are looked for where each pose has them: how many are found tells the two apart, or does not.
 
-use lsfb_geometry::{Rig, Se3, Vector2, Vector3};
+use lsfb_geometry::{Rig, Se3, Vector3};
 use rayon::prelude::*;
 
 use super::guided_matching::Query;
@@ -31,11 +30,8 @@ pub(crate) struct Elsewhere {
     pub matches_there: usize,
 }
 
-/// Places in which an image is looked for elsewhere, those with most votes: so many of which the map's images show something else, and as
-/// many that show the same.
+/// Places in which an image is looked for elsewhere, those with most votes.
 const PLACES: usize = 6;
-/// What a feature may show is found here where the pose has it this near, pixels.
-const HERE_PX: f64 = 30.0;
 /// A map image that has this share of its points in common with those around a pose shows the same.
 const SAME_VIEW_SHARE: f64 = 0.5;
 /// A pose elsewhere counts from so many matches on.
@@ -121,12 +117,7 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec
     let candidates: Vec<Vec<Candidates>> = frame
         .features
         .iter()
-        .zip(&cameras)
-        .map(|(features, camera)| {
-            let mut candidates = localizer.look_up(features);
-            drop_found_here(localizer, &mut candidates, features, camera, frame);
-            candidates
-        })
+        .map(|frame| localizer.look_up(frame))
         .collect();
     let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
     let places = &localizer.places;
@@ -136,49 +127,26 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec
         let shared = points.iter().filter(|p| here.binary_search(p).is_ok());
         shared.count() as f64 >= SAME_VIEW_SHARE * points.len() as f64
     };
-    let votes = places.vote(&all, localizer.config.min_votes).into_iter();
-    let (same, other): (Vec<Vote>, Vec<Vote>) = votes.partition(shows_the_same);
     let mut poses: Vec<Se3> = Vec::new();
-    for votes in [other, same] {
-        let mut tried: Vec<u32> = Vec::new();
-        let mut places_tried = 0;
-        for vote in votes {
-            if places_tried == PLACES {
-                break;
-            }
-            if tried.contains(&vote.image) {
-                continue;
-            }
-            places_tried += 1;
-            let place = places.neighbourhood(vote.image, localizer.config.place_images);
-            let points = places.points_of(&place);
-            tried.extend(&place);
-            let found = localizer.pose_at(&query, points, &candidates, &vote);
-            let found = found.filter(|found| found.pose.matches.len() >= FEWEST_MATCHES);
-            let found = found.map(|found| found.pose.world_from_rig);
-            poses.extend(found.filter(|pose| contradict(pose, &frame.world_from_rig)));
+    let mut tried: Vec<u32> = Vec::new();
+    let mut places_tried = 0;
+    for vote in places.vote(&all, localizer.config.min_votes) {
+        if places_tried == PLACES {
+            break;
         }
+        if tried.contains(&vote.image) || shows_the_same(&vote) {
+            continue;
+        }
+        places_tried += 1;
+        let place = places.neighbourhood(vote.image, localizer.config.place_images);
+        let points = places.points_of(&place);
+        tried.extend(&place);
+        let found = localizer.pose_at(&query, points, &candidates, &vote);
+        let found = found.filter(|found| found.pose.matches.len() >= FEWEST_MATCHES);
+        let found = found.map(|found| found.pose.world_from_rig);
+        poses.extend(found.filter(|pose| contradict(pose, &frame.world_from_rig)));
     }
     poses
-}
-
-/// Of what the features of an image may show, drops what the pose has where they are.
-fn drop_found_here(
-    localizer: &Localizer,
-    candidates: &mut [Candidates],
-    features: &FrameFeatures,
-    camera: &MountedCamera,
-    frame: &PlacedFrame,
-) {
-    let camera_from_world = (frame.world_from_rig * camera.rig_from_camera).inverse();
-    let pixel_of = |point: u32| {
-        let point_in_world = localizer.map().position(point)?;
-        camera.camera.project(&(camera_from_world * point_in_world))
-    };
-    for (keypoint, candidates) in features.features.keypoints.iter().zip(candidates) {
-        let is_near = |pixel: Vector2<f64>| (pixel - keypoint.pixel_f64()).norm() <= HERE_PX;
-        candidates.retain(|shown| !pixel_of(shown.point).is_some_and(is_near));
-    }
 }
 
 /// Points of the map's images around that the images of an instant show where this pose has them.
