@@ -48,18 +48,23 @@ fn post(rig: SocketAddr, path: &str, header: &str, body: &str) -> (u16, String) 
     (status.unwrap_or(0), said)
 }
 
+/// A session that apps push to, paired in a folder.
+fn pushed_to(folder: &Path) -> Session {
+    let config = DevicesConfig {
+        sidecar: Some(SidecarConfig {
+            push_listen: Some(LOOPBACK),
+            ..mock::sidecar(folder)
+        }),
+        ..anywhere()
+    };
+    Session::open(&config).unwrap()
+}
+
 /// After ten seconds out of reach a session began anew, and what its app had numbered meanwhile was not missed.
 #[test]
 fn batches_of_an_app_that_was_out_of_reach_are_missed() {
     let folder = tempfile::tempdir().unwrap();
-    let config = DevicesConfig {
-        sidecar: Some(SidecarConfig {
-            push_listen: Some(LOOPBACK),
-            ..mock::sidecar(folder.path())
-        }),
-        ..anywhere()
-    };
-    let session = Session::open(&config).unwrap();
+    let session = pushed_to(folder.path());
     let rig = session.push_address().unwrap();
     let pairing = PairingFolder::open(&folder.path().join("sidecar")).unwrap();
     let key = to_hex(&pairing.invite_pusher("ada", PushUnits::Standard).unwrap().0);
@@ -95,14 +100,7 @@ fn batches_of_an_app_that_was_out_of_reach_are_missed() {
 #[test]
 fn what_sensor_logger_pushes_is_recorded_once_in_order_and_counted() {
     let folder = tempfile::tempdir().unwrap();
-    let config = DevicesConfig {
-        sidecar: Some(SidecarConfig {
-            push_listen: Some(LOOPBACK),
-            ..mock::sidecar(folder.path())
-        }),
-        ..anywhere()
-    };
-    let session = Session::open(&config).unwrap();
+    let session = pushed_to(folder.path());
     let rig = session.push_address().unwrap();
     let pairing = PairingFolder::open(&folder.path().join("sidecar")).unwrap();
     let key_of = |name: &str, units| to_hex(&pairing.invite_pusher(name, units).unwrap().0);

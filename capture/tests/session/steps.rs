@@ -35,11 +35,26 @@ fn arrival(n: u64) -> Timestamp {
 
 /// Records packets of a LiDAR whose clock steps, with or without a pulse.
 fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording) {
+    record_counters(out, |n| {
+        let pps = locked.then_some(PpsStatus::Locked);
+        (counted_us(n, step_us), pps)
+    })
+}
+
+/// Records packets of a LiDAR that has such a counter in packet `n`, microseconds, and says so of its pulse, if it says anything.
+fn record_counters(
+    out: &Path,
+    counter: impl Fn(u64) -> (u32, Option<PpsStatus>),
+) -> (CaptureReport, Recording) {
     let packets = (0..PACKETS).flat_map(|n| {
-        let counted = counted_us(n, step_us);
+        let (counted, pps) = counter(n);
         let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
         data.set_timestamp_us(counted);
-        let position = (locked && n % 14 == 0).then(|| mock::position_packet(counted));
+        let position = pps.filter(|_| n % 14 == 0).map(|pps| {
+            let mut position = PositionPacket::new(mock::position_packet(counted)).unwrap();
+            position.set_pps_status(pps);
+            position.into_inner()
+        });
         let bytes = position.into_iter().chain([data.into_inner()]);
         bytes.map(move |bytes| Incoming::Lidar {
             lidar: 0,
@@ -137,37 +152,15 @@ fn a_locked_lidar_is_believed_and_its_steps_are_told() {
 fn a_lidar_that_is_restarted_is_locked_no_more() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("scan.mcap");
-    let packets = (0..PACKETS).flat_map(|n| {
+    let (report, recording) = record_counters(&out, |n| {
         let restarted = n >= STEP_AT;
-        let (since, begun_us) = if restarted {
-            (STEP_AT, 0)
-        } else {
-            (0, 10_000_000)
+        let (since, begun_us, pps) = match restarted {
+            true => (STEP_AT, 0, PpsStatus::Absent),
+            false => (0, 10_000_000, PpsStatus::Locked),
         };
-        let counted = u32::try_from(begun_us + (n - since) * PERIOD_NS / 1_000).unwrap();
-        let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
-        data.set_timestamp_us(counted);
-        let position = (n % 14 == 0).then(|| {
-            let mut position = PositionPacket::new(mock::position_packet(counted)).unwrap();
-            if restarted {
-                position.set_pps_status(PpsStatus::Absent);
-            }
-            position.into_inner()
-        });
-        let bytes = position.into_iter().chain([data.into_inner()]);
-        bytes.map(move |bytes| Incoming::Lidar {
-            lidar: 0,
-            packet: Packet {
-                arrival: arrival(n),
-                bytes,
-            },
-        })
+        let counted_us = begun_us + (n - since) * PERIOD_NS / 1_000;
+        (u32::try_from(counted_us).unwrap(), Some(pps))
     });
-    let config = DevicesConfig {
-        lidars: vec![LidarNetConfig::default()],
-        ..anywhere()
-    };
-    let report = record_incoming(packets, &config, &out, &no_progress).unwrap();
     let lidar = stream(&report, "lidar");
     for told in [
         "1 times the PPS lock was lost",
@@ -175,7 +168,6 @@ fn a_lidar_that_is_restarted_is_locked_no_more() {
     ] {
         assert!(lidar.notes.iter().any(|n| n == told), "{lidar:?}");
     }
-    let recording = Recording::open(&out).unwrap();
     for scan in recording.scans().unwrap() {
         let scan = scan.unwrap();
         let late_ns = scan.arrival - scan.time;
@@ -203,35 +195,14 @@ fn a_lidar_that_locks_to_another_time_on_the_way_does_not_pass() {
     let folder = tempfile::tempdir().unwrap();
     for (name, off_us, verdict) in [("same", 0, Verdict::Warn), ("off", 400_000, Verdict::Fail)] {
         let out = folder.path().join(format!("{name}.mcap"));
-        let packets = (0..PACKETS).flat_map(|n| {
-            let locked = n >= STEP_AT;
-            let free_us = 900_000_000;
-            let begun_us = if locked { 10_000_000 + off_us } else { free_us };
-            let counted = u32::try_from(begun_us + n * PERIOD_NS / 1_000).unwrap();
-            let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
-            data.set_timestamp_us(counted);
-            let position = (n % 14 == 0).then(|| {
-                let mut position = PositionPacket::new(mock::position_packet(counted)).unwrap();
-                if !locked {
-                    position.set_pps_status(PpsStatus::Absent);
-                }
-                position.into_inner()
-            });
-            let bytes = position.into_iter().chain([data.into_inner()]);
-            bytes.map(move |bytes| Incoming::Lidar {
-                lidar: 0,
-                packet: Packet {
-                    arrival: arrival(n),
-                    bytes,
-                },
-            })
+        let (_, recording) = record_counters(&out, |n| {
+            let (begun_us, pps) = match n >= STEP_AT {
+                true => (10_000_000 + off_us, PpsStatus::Locked),
+                false => (900_000_000, PpsStatus::Absent),
+            };
+            let counted_us = begun_us + n * PERIOD_NS / 1_000;
+            (u32::try_from(counted_us).unwrap(), Some(pps))
         });
-        let config = DevicesConfig {
-            lidars: vec![LidarNetConfig::default()],
-            ..anywhere()
-        };
-        record_incoming(packets, &config, &out, &no_progress).unwrap();
-        let recording = Recording::open(&out).unwrap();
         for read in [Depth::Indexes, Depth::Everything] {
             let config = DoctorConfig {
                 read,

@@ -172,7 +172,6 @@ fn a_recording_whose_header_is_damaged_becomes_whole() {
     assert_eq!(numbers(&out), (0..SAMPLES).collect::<Vec<_>>());
 }
 
-/// What was no recording does not become one.
 /// Without a checksum nothing but its records tells that a chunk is broken inside; naively it is copied and called whole.
 #[test]
 fn a_chunk_without_checksum_that_is_broken_inside_is_named_and_its_beginning_saved() {
@@ -233,6 +232,7 @@ fn a_chunk_without_checksum_that_is_broken_inside_is_named_and_its_beginning_sav
     assert!((0..SAMPLES).all(|n| left.contains(&n) || third.contains(&n)));
 }
 
+/// What was no recording does not become one.
 #[test]
 fn a_file_of_another_kind_is_not_recovered() {
     let dir = tempfile::tempdir().unwrap();

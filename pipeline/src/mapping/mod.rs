@@ -599,16 +599,13 @@ fn optimise(
         let lidar = lidar_residuals(&keyframes.frames, &scans);
         let errors_px = observation_errors_px(rig, keyframes, &points);
         if report.rounds.is_empty() {
-            let errors = track_errors(rig, keyframes, &points, &tracks);
             let measured = Measured {
                 keyframes,
-                errors: &errors,
+                errors: track_errors(rig, keyframes, &points, &tracks),
                 scans: &scans,
                 max_px,
             };
-            measured.by_camera(Moment::Before, &mut report.by_camera);
-            measured.by_region(run.regions, Moment::Before, &mut report.by_region);
-            let errors_px: Vec<f64> = errors.iter().map(|e| e.px).collect();
+            let errors_px = measured.put(run.regions, Moment::Before, report);
             let errors = ErrorSummary::of(&errors_px, max_px);
             report.reprojection_rms_before_px = errors.rms_px;
             report.reprojection_median_before_px = errors.median_px;
@@ -755,16 +752,13 @@ fn optimise(
             Vec::new()
         }
     };
-    let errors = track_errors(rig, keyframes, &points, &tracks);
     let measured = Measured {
         keyframes,
-        errors: &errors,
+        errors: track_errors(rig, keyframes, &points, &tracks),
         scans: &scans,
         max_px,
     };
-    measured.by_camera(Moment::After, &mut report.by_camera);
-    measured.by_region(run.regions, Moment::After, &mut report.by_region);
-    report.reprojection_errors_px = errors.iter().map(|e| e.px).collect();
+    report.reprojection_errors_px = measured.put(run.regions, Moment::After, report);
     let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
     report.reprojection_rms_px = errors.rms_px;
     report.reprojection_median_px = errors.median_px;

@@ -6,6 +6,7 @@ use lsfb_geometry::{StampedPose, Vector3};
 use lsfb_perception::statistics::median;
 
 use super::keyframes::Keyframes;
+use super::report::MappingReport;
 use super::reprojection_errors::{ErrorSummary, KeypointError};
 use super::residuals::{CameraResiduals, PixelResiduals, RegionResiduals};
 use super::scan_pairs::Compared;
@@ -48,7 +49,7 @@ impl Regions {
 /// What is measured at poses as they are.
 pub(super) struct Measured<'a> {
     pub keyframes: &'a Keyframes,
-    pub errors: &'a [KeypointError],
+    pub errors: Vec<KeypointError>,
     pub scans: &'a [Compared],
     /// `max_reprojection_px`.
     pub max_px: f64,
@@ -62,13 +63,20 @@ pub(super) enum Moment {
 }
 
 impl Measured<'_> {
+    /// Puts what is measured into the report, by camera and by region. Returns the errors alone, pixels.
+    pub fn put(self, regions: &Regions, moment: Moment, report: &mut MappingReport) -> Vec<f64> {
+        self.by_camera(moment, &mut report.by_camera);
+        self.by_region(regions, moment, &mut report.by_region);
+        self.errors.iter().map(|error| error.px).collect()
+    }
+
     /// Puts what is measured into the residuals of each camera, ascending by name.
-    pub fn by_camera(&self, moment: Moment, into: &mut Vec<CameraResiduals>) {
+    fn by_camera(&self, moment: Moment, into: &mut Vec<CameraResiduals>) {
         let mut errors: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         for image in &self.keyframes.images {
             errors.entry(&image.camera).or_default();
         }
-        for error in self.errors {
+        for error in &self.errors {
             let image = self.keyframes.images.get(error.image);
             let of_camera = image.and_then(|image| errors.get_mut(image.camera.as_str()));
             of_camera.into_iter().for_each(|all| all.push(error.px));
@@ -81,9 +89,9 @@ impl Measured<'_> {
     }
 
     /// The same of each region.
-    pub fn by_region(&self, regions: &Regions, moment: Moment, into: &mut Vec<RegionResiduals>) {
+    fn by_region(&self, regions: &Regions, moment: Moment, into: &mut Vec<RegionResiduals>) {
         let mut errors = vec![Vec::new(); regions.count];
-        for error in self.errors {
+        for error in &self.errors {
             let region = regions.of_image(self.keyframes, error.image);
             let of_region = region.and_then(|region| errors.get_mut(region));
             of_region.into_iter().for_each(|all| all.push(error.px));
@@ -191,7 +199,7 @@ mod tests {
             .collect();
         let measured = Measured {
             keyframes: &keyframes,
-            errors: &errors,
+            errors,
             scans: &[],
             max_px: 3.0,
         };
@@ -199,7 +207,7 @@ mod tests {
         measured.by_camera(Moment::Before, &mut cameras);
         measured.by_region(&regions, Moment::Before, &mut found);
         let better = Measured {
-            errors: &[],
+            errors: Vec::new(),
             ..measured
         };
         better.by_camera(Moment::After, &mut cameras);

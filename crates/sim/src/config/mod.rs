@@ -263,25 +263,15 @@ impl Default for CameraConfig {
 impl SimConfig {
     /// Whether the world of these settings is that of others: they differ at most in the second walk and in what it is recorded with.
     pub(crate) fn has_world_of(&self, other: &Self) -> bool {
-        let Self {
-            floors_up,
-            device,
-            motion,
-            off_path_m,
-            glasses,
-            glasses_cameras,
-            glasses_imu,
-            ..
-        } = self.clone();
         *self
             == Self {
-                floors_up,
-                device,
-                motion,
-                off_path_m,
-                glasses,
-                glasses_cameras,
-                glasses_imu,
+                floors_up: self.floors_up,
+                device: self.device,
+                motion: self.motion.clone(),
+                off_path_m: self.off_path_m,
+                glasses: self.glasses.clone(),
+                glasses_cameras: self.glasses_cameras.clone(),
+                glasses_imu: self.glasses_imu.clone(),
                 ..other.clone()
             }
     }

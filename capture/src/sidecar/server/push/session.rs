@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::mem::take;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -43,14 +44,6 @@ pub(super) struct PushSession {
     /// Batches that came twice, and readings.
     repeated: u64,
     pub(super) heard: Instant,
-}
-
-impl Paused {
-    /// What was repeated was told when the session paused.
-    fn with_nothing_repeated(mut self) -> Self {
-        self.channels.repeated = 0;
-        self
-    }
 }
 
 impl fmt::Debug for PushSession {
@@ -182,14 +175,15 @@ impl PushSession {
 
     /// Nothing comes any more. The app may be heard again, and what it numbered meanwhile is missing then.
     pub(super) async fn pause(mut self, why: &str) -> Paused {
-        let paused = Paused {
-            session_id: std::mem::take(&mut self.session_id),
-            order: std::mem::take(&mut self.order),
-            channels: std::mem::take(&mut self.channels),
+        let mut paused = Paused {
+            session_id: take(&mut self.session_id),
+            order: take(&mut self.order),
+            channels: take(&mut self.channels),
         };
-        self.repeated += paused.channels.repeated;
+        // Told when this one closes, and not again.
+        self.repeated += take(&mut paused.channels.repeated);
         self.close(why).await;
-        paused.with_nothing_repeated()
+        paused
     }
 
     /// It is over.
@@ -213,7 +207,7 @@ impl PushSession {
     async fn record(&mut self, bodies: Vec<PushedBody>) -> Result<(), NotStored> {
         let arrival = arrival_now();
         for mut body in bodies {
-            let unknown = std::mem::take(&mut body.unknown);
+            let unknown = take(&mut body.unknown);
             let unreadable = body.unreadable;
             if !unknown.is_empty() || unreadable > 0 {
                 self.tell(unknown, unreadable).await?;

@@ -351,12 +351,8 @@ impl<'a> Scan<'a> {
 
     /// Records the scan and the walks that do not stand: those of one world after another, so that it is built once.
     fn record(&mut self, trial: &mut Trial, walks: &[Walked]) -> anyhow::Result<()> {
-        let mut pending: Vec<&Walked> = Vec::new();
-        for walked in walks {
-            if self.standing(trial, walked).is_none() {
-                pending.push(walked);
-            }
-        }
+        let pending = walks.iter().filter(|w| self.standing(trial, w).is_none());
+        let mut pending: Vec<&Walked> = pending.collect();
         if pending.is_empty() {
             return Ok(());
         }
@@ -374,7 +370,6 @@ impl<'a> Scan<'a> {
                 continue;
             };
             let folder = self.session.walk_folder(walked);
-            std::fs::create_dir_all(&folder)?;
             let mut costs = Costs::open(folder.join("costs.json"));
             self.session
                 .record_walk(walked, &device, &mut costs, &mut last)?;
