@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_recording::{Provenance, Recording};
@@ -23,9 +23,9 @@ pub struct Context {
     force: bool,
     display: Display,
     stop: StopSignal,
-    data_lost: AtomicBool,
+    data_lost: Arc<AtomicBool>,
     /// Where is written.
-    places: Mutex<Vec<PathBuf>>,
+    places: Arc<Mutex<Vec<PathBuf>>>,
 }
 
 impl Context {
@@ -37,9 +37,22 @@ impl Context {
             force: global.force,
             display: Display::new(global.quiet),
             stop: StopSignal::install()?,
-            data_lost: AtomicBool::new(false),
-            places: Mutex::new(Vec::new()),
+            data_lost: Arc::default(),
+            places: Arc::default(),
         })
+    }
+
+    /// For a part of the command that runs beside other parts: what it shows begins with its name.
+    pub fn part(&self, name: &str) -> Self {
+        Self {
+            json: self.json,
+            quiet: self.quiet,
+            force: self.force,
+            display: self.display.part(name),
+            stop: self.stop.clone(),
+            data_lost: Arc::clone(&self.data_lost),
+            places: Arc::clone(&self.places),
+        }
     }
 
     /// Whether results of the same name may be replaced.
@@ -176,8 +189,7 @@ impl Context {
 
     /// A line for the person at the terminal, on stderr.
     pub fn say(&self, line: &str) {
-        self.display.finish();
-        terminal::say(line);
+        self.display.say(line);
     }
 
     /// The same, for what `--quiet` leaves out.

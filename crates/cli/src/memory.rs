@@ -1,4 +1,7 @@
-//! How much memory this process takes.
+//! How much memory this process takes, and how much there is.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use nix::sys::resource::{UsageWho, getrusage};
 
@@ -8,8 +11,34 @@ pub fn peak_rss_mb() -> f64 {
     getrusage(UsageWho::RUSAGE_SELF).map_or(f64::NAN, |usage| usage.max_rss() as f64 * 1024.0 / 1e6)
 }
 
-/// Counts the peak from now on, where the kernel can (`proc(5)`, `clear_refs`); elsewhere it stays that of the whole process.
+/// Whether stages run beside one another.
+static SEVERAL: AtomicBool = AtomicBool::new(false);
+
+/// From now on stages run beside one another, and none may forget what another held.
+pub fn several_at_once() {
+    SEVERAL.store(true, Ordering::Relaxed);
+}
+
+/// Counts the peak from now on, where the kernel can (`proc(5)`, `clear_refs`) and nothing runs beside; elsewhere it stays that of the whole
+/// process.
 pub fn forget_peak() {
+    if SEVERAL.load(Ordering::Relaxed) {
+        return;
+    }
     // What cannot be reset is an upper limit.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+/// What could be taken without swapping, megabytes; `None` where the kernel does not say.
+pub fn free_mb() -> Option<u64> {
+    let bytes = meminfo_bytes(Path::new("/"), "MemAvailable:")?;
+    Some(bytes / 1_000_000)
+}
+
+/// A field of `/proc/meminfo` below `root`, bytes.
+pub fn meminfo_bytes(root: &Path, field: &str) -> Option<u64> {
+    let table = std::fs::read_to_string(root.join("proc/meminfo")).ok()?;
+    let line = table.lines().find_map(|line| line.strip_prefix(field))?;
+    let kilobytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
 }

@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use lsfb_types::Progress;
 
 use crate::terminal;
@@ -15,9 +15,13 @@ const LINE_EVERY: Duration = Duration::from_secs(5);
 /// The stage of lines that are no progress.
 const BOARD: &str = "board";
 
-/// Shows [`Progress`]; one per command, shared by its stages.
+/// Shows [`Progress`]; one per command, shared by its stages, and one more for each part of it that runs beside others.
 pub struct Display {
     state: Mutex<Shown>,
+    /// Those of all parts.
+    bars: MultiProgress,
+    /// What each line begins with: the name of the part, if it is one.
+    name: String,
     terminal: bool,
     quiet: bool,
 }
@@ -32,8 +36,20 @@ struct Shown {
 impl Display {
     /// Draws on stderr, so that stdout stays clean for `--json`; quiet, it remembers the stage and shows nothing.
     pub fn new(quiet: bool) -> Self {
+        let bars = MultiProgress::with_draw_target(ProgressDrawTarget::stderr());
+        Self::named(String::new(), bars, quiet)
+    }
+
+    /// For a part that runs beside others, whose lines begin with its name.
+    pub fn part(&self, name: &str) -> Self {
+        Self::named(format!("{name}: "), self.bars.clone(), self.quiet)
+    }
+
+    fn named(name: String, bars: MultiProgress, quiet: bool) -> Self {
         let now = Instant::now();
         Self {
+            bars,
+            name,
             state: Mutex::new(Shown {
                 stage: "",
                 bar: None,
@@ -64,7 +80,7 @@ impl Display {
             }
             None if state.last_line.elapsed() >= LINE_EVERY => {
                 state.last_line = Instant::now();
-                line(&state, progress);
+                self.print(&line(&state, progress));
             }
             None => {}
         }
@@ -79,12 +95,12 @@ impl Display {
             return;
         };
         if state.stage != BOARD {
-            end(&mut state);
+            self.end(&mut state);
             state.stage = BOARD;
             state.started = Instant::now();
             state.last_line = state.started;
             if self.terminal {
-                let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+                let bar = self.bars.add(ProgressBar::no_length());
                 bar.set_style(
                     ProgressStyle::with_template("{msg}")
                         .unwrap_or_else(|_| ProgressStyle::default_bar()),
@@ -96,7 +112,7 @@ impl Display {
             Some(bar) => bar.set_message(terminal::for_stderr(lines)),
             None if state.last_line.elapsed() >= LINE_EVERY => {
                 state.last_line = Instant::now();
-                terminal::say(lines.lines().next().unwrap_or_default());
+                self.print(lines.lines().next().unwrap_or_default());
             }
             None => {}
         }
@@ -112,18 +128,29 @@ impl Display {
         if let Ok(mut state) = self.state.lock()
             && !self.quiet
         {
-            end(&mut state);
+            self.end(&mut state);
         }
     }
 
+    /// A line of its own, after the current stage.
+    pub fn say(&self, line: &str) {
+        self.finish();
+        self.print(line);
+    }
+
+    /// Above the bars of all parts.
+    fn print(&self, line: &str) {
+        let line = format!("{}{line}", self.name);
+        self.bars.suspend(|| terminal::say(&line));
+    }
+
     fn begin(&self, state: &mut Shown, progress: Progress) {
-        end(state);
+        self.end(state);
         state.stage = progress.stage;
         state.started = Instant::now();
         state.last_line = state.started;
         if self.terminal {
-            let bar =
-                ProgressBar::with_draw_target(Some(progress.total), ProgressDrawTarget::stderr());
+            let bar = self.bars.add(ProgressBar::new(progress.total));
             let bar_style = match terminal::stderr_is_coloured() {
                 true => "bar:32.cyan",
                 false => "bar:32",
@@ -134,46 +161,42 @@ impl Display {
                 ProgressStyle::with_template(&template)
                     .unwrap_or_else(|_| ProgressStyle::default_bar()),
             );
-            bar.set_message(progress.stage);
+            bar.set_message(format!("{}{}", self.name, progress.stage));
             state.bar = Some(bar);
         } else {
             state.bar = None;
         }
     }
+
+    fn end(&self, state: &mut Shown) {
+        if state.stage.is_empty() {
+            return;
+        }
+        if let Some(bar) = state.bar.take() {
+            bar.finish_and_clear();
+            self.bars.remove(&bar);
+        }
+        let stage = std::mem::take(&mut state.stage);
+        if stage != BOARD {
+            let secs = state.started.elapsed().as_secs_f64();
+            self.print(&format!("{stage:<28} {secs:6.1} s"));
+        }
+    }
 }
 
-fn end(state: &mut Shown) {
-    if state.stage.is_empty() {
-        return;
-    }
-    if let Some(bar) = state.bar.take() {
-        bar.finish_and_clear();
-    }
-    if state.stage == BOARD {
-        state.stage = "";
-        return;
-    }
-    terminal::say(&format!(
-        "{:<28} {:6.1} s",
-        state.stage,
-        state.started.elapsed().as_secs_f64()
-    ));
-    state.stage = "";
-}
-
-fn line(state: &Shown, progress: Progress) {
+fn line(state: &Shown, progress: Progress) -> String {
     let elapsed = state.started.elapsed().as_secs_f64();
     if progress.total > 0 && progress.done > 0 {
         let eta =
             elapsed * (progress.total.saturating_sub(progress.done)) as f64 / progress.done as f64;
-        terminal::say(&format!(
+        format!(
             "{:<28} {}/{} ETA {eta:.0} s",
             progress.stage, progress.done, progress.total
-        ));
+        )
     } else {
-        terminal::say(&format!(
+        format!(
             "{:<28} {} after {elapsed:.0} s",
             progress.stage, progress.done
-        ));
+        )
     }
 }

@@ -12,6 +12,7 @@ use signal_hook::flag;
 const SIGNAL_EXIT: u8 = 128;
 
 /// Whether, and by which signal.
+#[derive(Clone)]
 pub struct StopSignal {
     asked: Arc<AtomicBool>,
     number: Arc<AtomicUsize>,

@@ -11,13 +11,15 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_geometry::{Matrix6, Se3, Vector3};
+use lsfb_geometry::{Matrix6, Vector3};
 use lsfb_types::{Progress, ProgressFn, no_progress};
+use nalgebra::Vector6;
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::optimization::{choose_observations, optimize};
+use super::uncertainty::{Deviations, of_stretch};
 use super::walk::{LocalObservation, LocalPoint, Walk};
 use crate::Error;
 use crate::frames::times_apart;
@@ -33,13 +35,15 @@ const IMU_MARGIN_SECS: f64 = 0.1;
 const GROUPS: usize = 4;
 /// Which groups each half has: every pair.
 const HALVES: [[usize; 2]; 6] = [[0, 1], [2, 3], [0, 2], [1, 3], [0, 3], [1, 2]];
+/// A half that leads further away than this share of what is allowed is weighed by what it knows.
+const WEIGHED_FROM: f64 = 0.5;
 /// Rounds in which a half chooses its observations, as far from the whole's as its own poses lead.
 const ROUNDS: usize = 2;
 
 /// What halves of the map's points say of a pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HalvesCheck {
-    /// Largest distance of the position by one half from that by all, metres; infinite where a half leads nowhere.
+    /// Largest distance by which one half moves the position, metres; infinite where a half leads nowhere.
     pub disagreement_m: f64,
     /// Covariance of the pose by what the points of a group share, tangent `[rotation, translation]` on the right, rad² and m².
     pub shared: Matrix6<f64>,
@@ -53,13 +57,12 @@ impl HalvesCheck {
         }
     }
 
-    /// With one half more: how far the pose by it lies from that by all, or `None` where it leads nowhere.
-    fn with(mut self, whole_from_half: Option<Se3>) -> Self {
-        match whole_from_half {
-            Some(apart) => {
-                self.disagreement_m = self.disagreement_m.max(apart.translation.norm());
-                let apart = apart.log();
-                self.shared += apart * apart.transpose() / HALVES.len() as f64;
+    /// With one half more: how far it moves the pose, or `None` where it leads nowhere.
+    fn with(mut self, moved: Option<Vector6<f64>>) -> Self {
+        match moved {
+            Some(moved) => {
+                self.disagreement_m = self.disagreement_m.max(length_m(&moved));
+                self.shared += moved * moved.transpose() / HALVES.len() as f64;
             }
             None => self.disagreement_m = f64::INFINITY,
         }
@@ -70,6 +73,32 @@ impl HalvesCheck {
         match self.disagreement_m >= other.disagreement_m {
             true => self,
             false => other,
+        }
+    }
+}
+
+/// How far a tangent `[rotation, translation]` moves a position, metres.
+fn length_m(moved: &Vector6<f64>) -> f64 {
+    moved.fixed_rows::<3>(3).norm()
+}
+
+/// Weighs how far the poses by a half lie from those by all by what it says in the whole. Of a half that sees all of its points in one
+/// direction the poses may lie anywhere along another, in which the whole hardly listens to it. With the normal matrices `H` of all and `H₁` of the
+/// half its observations pull the whole by `H⁻¹ H₁ δ`, where alone they lead `δ` away; half as far where both halves know as much, so that
+/// twice that is what stands for `δ`, where it is less.
+fn weigh(
+    moves: &mut [Vector6<f64>],
+    by_all: &[Option<Matrix6<f64>>],
+    by_half: &[Option<Matrix6<f64>>],
+) {
+    for (moved, (by_all, by_half)) in moves.iter_mut().zip(by_all.iter().zip(by_half)) {
+        let information = by_half.and_then(|covariance| covariance.try_inverse());
+        let Some((by_all, information)) = by_all.zip(information) else {
+            continue;
+        };
+        let pulled = by_all * information * *moved * 2.0;
+        if length_m(&pulled) < length_m(moved) {
+            *moved = pulled;
         }
     }
 }
@@ -90,7 +119,9 @@ pub(super) fn check_halves(
         jobs.extend(HALVES.map(|half| (first..end, half)));
     }
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
-    let found: Vec<(Range<usize>, Vec<Option<Se3>>)> = jobs
+    let shown = Deviations::of(walk, estimate, points);
+    let limit_m = WEIGHED_FROM * config.max_disagreement_m;
+    let found: Vec<(Range<usize>, Vec<Option<Vector6<f64>>>)> = jobs
         .into_par_iter()
         .map(|(core, half)| {
             progress(Progress {
@@ -101,18 +132,27 @@ pub(super) fn check_halves(
             let begin = core.start.saturating_sub(MARGIN_FRAMES);
             let end = (core.end + MARGIN_FRAMES).min(checked.len());
             let stretch = Stretch::new(walk, estimate, points, &checked[begin..end]);
-            let poses = stretch.poses_by(half, config)?;
-            let apart = core.clone().map(|k| {
-                let by_half = poses.as_ref()?[k - begin];
-                Some(estimate.pose(checked[k]).inverse() * by_half)
+            let Some(half) = stretch.solved_by(half, config)? else {
+                return Ok((core.clone(), vec![None; core.len()]));
+            };
+            let apart = (begin..end).map(|k| {
+                let by_all = estimate.pose(checked[k]);
+                (by_all.inverse() * *half.estimate.pose(k - begin)).log()
             });
-            Ok((core.clone(), apart.collect()))
+            let mut moves: Vec<Vector6<f64>> = apart.collect();
+            if moves.iter().any(|m| length_m(m) > limit_m) {
+                let whole = Stretch::new(walk, estimate, points, &checked[begin..end]);
+                let [by_all, by_half] = [&whole, &half].map(|s| s.covariances(&shown, config));
+                weigh(&mut moves, &by_all?, &by_half?);
+            }
+            let moves = moves[core.start - begin..core.end - begin].iter();
+            Ok((core.clone(), moves.copied().map(Some).collect()))
         })
         .collect::<Result<_, Error>>()?;
     let mut said = vec![HalvesCheck::of_agreement(); checked.len()];
-    for (core, apart) in found {
-        for (said, apart) in said[core].iter_mut().zip(apart) {
-            *said = said.with(apart);
+    for (core, moves) in found {
+        for (said, moved) in said[core].iter_mut().zip(moves) {
+            *said = said.with(moved);
         }
     }
     Ok(spread_to_neighbours(walk, &checked, &said))
@@ -187,12 +227,21 @@ impl Stretch {
         }
     }
 
-    /// Poses of the frames by the points of two groups; `None` where they lead nowhere.
-    fn poses_by(
+    /// Covariances of its poses; `None` where nothing determines one.
+    fn covariances(
+        &self,
+        shown: &Deviations,
+        config: &GroundTruthConfig,
+    ) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
+        of_stretch(&self.walk, &self.estimate, &self.points, shown, config)
+    }
+
+    /// Solved by the points of two groups; `None` where they lead nowhere.
+    fn solved_by(
         mut self,
         half: [usize; 2],
         config: &GroundTruthConfig,
-    ) -> Result<Option<Vec<Se3>>, Error> {
+    ) -> Result<Option<Self>, Error> {
         let groups = &self.groups;
         let is_kept = |point: &u32| groups.get(point).is_some_and(|g| half.contains(g));
         for frame in &mut self.walk.frames {
@@ -215,8 +264,7 @@ impl Stretch {
                 break;
             }
         }
-        let states = self.estimate.states.iter();
-        Ok(Some(states.map(|s| s.nav.world_from_rig).collect()))
+        Ok(Some(self))
     }
 }
 

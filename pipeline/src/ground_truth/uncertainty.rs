@@ -16,7 +16,7 @@ use nalgebra::SMatrix;
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::report::{ReprojectionErrors, local_errors, map_errors};
+use super::report::{local_errors, map_errors};
 use super::walk::{FixedObservation, LocalObservation, LocalPoint, Walk};
 use crate::Error;
 use crate::residuals::{CameraCorrection, MovingReprojection};
@@ -33,7 +33,8 @@ const LEAST_POINT_SIGMA_M: f64 = 1e-3;
 const LOCAL_POINT_SHARE: f64 = 1.0;
 
 /// Errors that the walk shows, as deviations in each direction.
-struct Deviations {
+#[derive(Clone, Copy)]
+pub(super) struct Deviations {
     /// Of a keypoint, pixels.
     pixel_px: f64,
     /// Of a point of the map, pixels as seen by the walk.
@@ -42,7 +43,8 @@ struct Deviations {
 
 impl Deviations {
     /// What the map's points are off more than local points, which lie where the walk wants them, is the map's.
-    fn of(map: &ReprojectionErrors, local: &ReprojectionErrors) -> Self {
+    pub(super) fn of(walk: &Walk, estimate: &Estimate, points: &[LocalPoint]) -> Self {
+        let (map, local) = (map_errors(walk, estimate), local_errors(estimate, points));
         let local_px2 = 0.5 * local.rms_px.powi(2);
         let map_px2 = 0.5 * map.rms_px.powi(2);
         let pixel_px2 = match local.count {
@@ -73,7 +75,7 @@ pub(super) fn uncertainty(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Uncertainty, Error> {
-    let shown = Deviations::of(&map_errors(walk, estimate), &local_errors(estimate, points));
+    let shown = Deviations::of(walk, estimate, points);
     let count = walk.frames.len();
     let mut poses = Vec::with_capacity(count);
     let known = information_of(&config.calibration_sigmas());
@@ -111,6 +113,19 @@ pub(super) fn uncertainty(
         poses,
         corrections: corrections.collect(),
     })
+}
+
+/// Covariances of all poses of a short walk; `None` where nothing determines one.
+pub(super) fn of_stretch(
+    walk: &Walk,
+    estimate: &Estimate,
+    points: &[LocalPoint],
+    shown: &Deviations,
+    config: &GroundTruthConfig,
+) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
+    let all = 0..walk.frames.len();
+    let window = Window::new(walk, estimate, points, all.clone(), shown, config)?;
+    Ok(window.covariances(all)?.poses)
 }
 
 /// Entries of a camera's correction.

@@ -11,7 +11,7 @@ use super::{MappingConfig, MappingWarning};
 use crate::Error;
 use crate::features::{FeatureDetector, Features};
 use crate::frames::clock_offsets_ns;
-use crate::hd_map::KeyframeImage;
+use crate::hd_map::{KeyframeImage, MapPoint};
 use crate::lidar_features::LidarFeatures;
 use crate::odometry::Damages;
 
@@ -46,6 +46,18 @@ impl Keyframes {
         for (keyframe, pose) in self.frames.iter_mut().zip(poses) {
             keyframe.world_from_rig = pose.world_from_rig;
         }
+    }
+
+    /// Distance of a point from the nearest camera that sees it, metres.
+    pub(super) fn nearest_camera_m(&self, rig: &Rig, point: &MapPoint) -> f64 {
+        let distances = point.observations.iter().filter_map(|o| {
+            let image = self.images.get(o.image)?;
+            let mounted = rig.cameras.get(&image.camera)?;
+            let world_from_rig = self.frames.get(image.keyframe)?.world_from_rig;
+            let camera = world_from_rig * mounted.rig_from_camera.translation;
+            Some((camera - point.point_in_world).norm())
+        });
+        distances.fold(f64::INFINITY, f64::min)
     }
 
     /// Makes keyframes without images of those moments that no image is near to: their scans lead over the hole.

@@ -629,6 +629,7 @@ fn optimise(
         };
         let solved;
         (solved, in_site) = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
+        drop_before_lenses(rig, keyframes, &mut points);
         let poses = keyframes.poses();
         if let (Some(hold), Some(in_site)) = (&mut hold, &in_site) {
             hold.centred_from_world = in_site.centred_from_world;
@@ -739,7 +740,10 @@ fn optimise(
             control: control.as_ref(),
         },
     };
-    let shown = camera_errors(&checked, config, progress)?;
+    let shown = camera_errors(&checked, config, progress)?.unwrap_or_else(|warning| {
+        report.warnings.push(warning);
+        ShownCameras::none(rig)
+    });
     report.cameras = shown.errors.clone();
     let factor = hold.as_ref().map_or(1.0, |hold| hold.map_factor);
     let covariances = match pose_covariances(&checked, &points, config, progress)? {
@@ -800,7 +804,18 @@ fn triangulate_round(
         ..config.reconstruction.triangulation.clone()
     };
     let poses = keyframes.poses();
-    triangulate_tracks(rig, &poses, &keyframes.images, tracks, &triangulation)
+    let mut points = triangulate_tracks(rig, &poses, &keyframes.images, tracks, &triangulation)?;
+    drop_before_lenses(rig, keyframes, &mut points);
+    Ok(points)
+}
+
+/// What stands nearer before a lens is a wrong match, metres: it would count as a measurement of micrometres, and leave the pose of
+/// its camera undetermined beside all others.
+const LEAST_DEPTH_M: f64 = 0.1;
+
+/// Takes out points before a lens.
+fn drop_before_lenses(rig: &Rig, keyframes: &Keyframes, points: &mut Vec<MapPoint>) {
+    points.retain(|point| keyframes.nearest_camera_m(rig, point) >= LEAST_DEPTH_M);
 }
 
 /// The odometry's trajectory bent through the optimised keyframes.

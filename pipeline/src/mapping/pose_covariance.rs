@@ -13,7 +13,6 @@ use lsfb_types::{Progress, ProgressFn};
 use nalgebra::DMatrix;
 
 use super::adjustment::{Equation, equation};
-use super::keyframes::Keyframes;
 use super::rig_check::Checked;
 use super::weights::lidar_residuals;
 use super::{MappingConfig, MappingWarning};
@@ -23,8 +22,8 @@ use crate::hd_map::MapPoint;
 /// Standard deviation of a point beside its observations, as a multiple of how near it is to the nearest of its cameras: so loose that it says nothing, and
 /// a point whose rays are parallel is not undetermined.
 const POINT_SIGMA_PER_DEPTH: f64 = 30.0;
-/// What stands nearer before a lens is a wrong match, metres: it would count as a measurement of micrometres.
-const LEAST_DEPTH_M: f64 = 0.1;
+/// More tells nothing, metres.
+const MOST_DEPTH_M: f64 = 1e6;
 
 /// What a keyframe is off by against its own scans and images, 1 σ: metres and radians along each axis per metre by which distances from planes
 /// scatter. Chosen on four simulated walks (stairs 1, medium office 4, wide corridor 2, atrium 3; `docs/figures.md` has others).
@@ -97,14 +96,11 @@ fn determined(
     points: &[MapPoint],
     config: &MappingConfig,
 ) -> Result<Equation, Error> {
-    let in_view = points
-        .iter()
-        .filter(|p| depth_m(checked, p) > LEAST_DEPTH_M);
-    let points: Vec<MapPoint> = in_view.cloned().collect();
     let (rig, keyframes) = (checked.rig, checked.keyframes);
-    let mut equation = equation(rig, keyframes, &points, &checked.terms, config)?;
+    let mut equation = equation(rig, keyframes, points, &checked.terms, config)?;
     for (point, block) in points.iter().zip(&equation.points) {
-        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m(checked, point);
+        let depth_m = keyframes.nearest_camera_m(rig, point).min(MOST_DEPTH_M);
+        let sigma_m = POINT_SIGMA_PER_DEPTH * depth_m;
         let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
         let kernel = Kernel::Squared;
         equation
@@ -112,19 +108,6 @@ fn determined(
             .add_residual(prior, &[block.id()], kernel)?;
     }
     Ok(equation)
-}
-
-/// Distance of a point from the nearest camera that sees it.
-fn depth_m(checked: &Checked, point: &MapPoint) -> f64 {
-    let Keyframes { frames, images } = checked.keyframes;
-    let depths = point.observations.iter().filter_map(|o| {
-        let image = images.get(o.image)?;
-        let mounted = checked.rig.cameras.get(&image.camera)?;
-        let world_from_rig = frames.get(image.keyframe)?.world_from_rig;
-        let camera = world_from_rig * mounted.rig_from_camera.translation;
-        Some((camera - point.point_in_world).norm())
-    });
-    depths.fold(f64::INFINITY, f64::min).min(1e6)
 }
 
 fn own_covariance(scatter_m: f64) -> Matrix6<f64> {

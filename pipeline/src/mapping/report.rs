@@ -150,7 +150,10 @@ impl MappingWarning {
     pub(super) fn is_of_adjustment(&self) -> bool {
         matches!(
             self,
-            Self::PosesUndetermined { .. } | Self::NotAtRest { .. } | Self::ManyOutliers { .. }
+            Self::PosesUndetermined { .. }
+                | Self::CamerasUndetermined { .. }
+                | Self::NotAtRest { .. }
+                | Self::ManyOutliers { .. }
         )
     }
 }
@@ -203,6 +206,11 @@ pub enum MappingWarning {
     PosesUndetermined {
         /// Which, as the solver says it.
         #[serde(default)]
+        reason: String,
+    },
+    /// The measurements do not tell the errors of the cameras.
+    CamerasUndetermined {
+        /// Which, as the solver says it.
         reason: String,
     },
     /// For a while there was no scan.
@@ -314,6 +322,12 @@ impl MappingWarning {
                 format!("images and scans do not determine all keyframes, so that nothing is said of how well their poses are known ({reason})"),
             )
             .remedy("map where the LiDAR sees walls on several sides, or with more images"),
+            Self::CamerasUndetermined { reason } => warn(
+                "cameras-undetermined",
+                "",
+                format!("images and scans do not tell whether the cameras are as the rig file has them, so that nothing is said of that ({reason})"),
+            )
+            .remedy("map where there is more to be seen, or check the rig file with `lsfb calib verify`"),
             Self::ScanGap { after_secs, secs } => warn(
                 "scan-gap",
                 "LiDAR",

@@ -17,7 +17,7 @@ use super::camera_error::{
     CLOCK_LIMITS_S, CameraError, FOCAL_LIMITS, SHIFT_LIMITS_M, TURN_LIMITS_DEG,
 };
 use super::keyframes::Keyframes;
-use super::{MappingConfig, triangulate_round};
+use super::{MappingConfig, MappingWarning, triangulate_round};
 use crate::Error;
 use crate::features::tracks::Track;
 use crate::hd_map::{CERTAIN_VIEWS, FreedCameras, MapPoint, Sights};
@@ -64,6 +64,14 @@ pub(super) struct ShownCameras {
 }
 
 impl ShownCameras {
+    /// Where nothing is known of them.
+    pub fn none(stated: &Rig) -> Self {
+        Self {
+            errors: Vec::new(),
+            rig: stated.clone(),
+        }
+    }
+
     /// The rig with the cameras as found that are other than stated for sure; `None` where none is. A camera whose clock is off stays as it is: its images are
     /// at wrong poses.
     pub fn refined(&self, stated: &Rig) -> Option<Rig> {
@@ -84,12 +92,12 @@ impl ShownCameras {
     }
 }
 
-/// Finds the errors of all cameras that have images.
+/// Finds the errors of all cameras that have images. Where the measurements do not determine them, that is the warning.
 pub(super) fn camera_errors(
     checked: &Checked,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<ShownCameras, Error> {
+) -> Result<Result<ShownCameras, MappingWarning>, Error> {
     let images = &checked.keyframes.images;
     let mut rig = checked.rig.clone();
     // Images are posed at their own times already.
@@ -107,7 +115,13 @@ pub(super) fn camera_errors(
         let observations: usize = points.iter().map(|p| p.observations.len()).sum();
         let every = observations.div_ceil(MOST_OBSERVATIONS).max(1);
         let points: Vec<MapPoint> = points.into_iter().step_by(every).collect();
-        let found = solve_round(checked, &rig, &points, config, progress)?;
+        let found = match solve_round(checked, &rig, &points, config, progress) {
+            Err(Error::Solver(error @ lsfb_solver::Error::Undetermined { .. })) => {
+                let reason = error.to_string();
+                return Ok(Err(MappingWarning::CamerasUndetermined { reason }));
+            }
+            found => found?,
+        };
         let mut rests = true;
         errors.clear();
         for ((name, camera), found) in rig.cameras.iter_mut().zip(found) {
@@ -130,7 +144,7 @@ pub(super) fn camera_errors(
             break;
         }
     }
-    Ok(ShownCameras { errors, rig })
+    Ok(Ok(ShownCameras { errors, rig }))
 }
 
 /// What one camera is off by, and how well that is known.

@@ -8,7 +8,8 @@ use lsfb_types::{Finding, Progress, Stopped, Verdict, no_progress};
 use nalgebra::Matrix3;
 
 use super::*;
-use crate::hd_map::{Click, ControlPoint};
+use crate::features::Features;
+use crate::hd_map::{Click, ControlPoint, KeyframeImage, PointObservation};
 use crate::odometry::OdometryConfig;
 use crate::odometry::tests::room::{self, Room};
 
@@ -580,4 +581,35 @@ fn control_points_hold_a_map_and_blunders_among_them_do_not() {
     assert!(!site.control_points.contains(&"m7".to_owned()));
     let m4 = report.marks.iter().find(|mark| mark.name == "m4");
     assert_eq!(m4.expect("placed").clicks_left_out, 1);
+}
+
+/// Descriptors that happen to be alike meet before a lens: there an observation would count for more than all others.
+#[test]
+fn what_stands_before_a_lens_is_no_point() {
+    let keyframe = |x: f64| keyframes::Keyframe {
+        time: Timestamp::from_nanos((x * 1e9) as i64),
+        world_from_rig: Se3::new(Default::default(), Vector3::x() * x),
+        lidar: None,
+    };
+    let image = |keyframe: usize| KeyframeImage {
+        keyframe,
+        camera: "cam0".to_owned(),
+        features: Features::default(),
+    };
+    let keyframes = Keyframes {
+        frames: [0.0, 1.0].map(keyframe).into(),
+        images: [0, 1].map(image).into(),
+    };
+    let point = |x: f64| MapPoint {
+        point_in_world: Vector3::new(x, 0.0, 0.1),
+        observations: [0, 1]
+            .map(|image| PointObservation { image, keypoint: 0 })
+            .into(),
+        reprojection_rms_px: 0.1,
+    };
+    // The cameras are at 0.1 and 1.1 m.
+    let mut points = [1.15, 1.25, 3.0].map(point).to_vec();
+    drop_before_lenses(&rig(), &keyframes, &mut points);
+    let left: Vec<f64> = points.iter().map(|p| p.point_in_world.x).collect();
+    assert_eq!(left, [1.25, 3.0]);
 }

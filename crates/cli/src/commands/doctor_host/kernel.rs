@@ -4,8 +4,8 @@ use std::path::Path;
 
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::machine::meminfo_bytes;
 use super::{INSTALL, at_least, check, number, read};
+use crate::memory::meminfo_bytes;
 
 /// A VLP-32C with dual returns fills this in four seconds, receive buffers' overhead included.
 const GOOD_RMEM_BYTES: u64 = 33_554_432;

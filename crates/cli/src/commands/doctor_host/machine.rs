@@ -5,6 +5,7 @@ use std::path::Path;
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::{at_least, check, folders, read};
+use crate::memory::meminfo_bytes;
 
 const GOOD_MEMORY_BYTES: u64 = 2 << 30;
 
@@ -32,13 +33,6 @@ pub(super) fn governor(root: &Path) -> Finding {
             "sudo cpupower frequency-set -g performance",
         ),
     }
-}
-
-pub(super) fn meminfo_bytes(root: &Path, field: &str) -> Option<u64> {
-    let table = read(root, "proc/meminfo")?;
-    let line = table.lines().find_map(|line| line.strip_prefix(field))?;
-    let kilobytes: u64 = line.split_whitespace().next()?.parse().ok()?;
-    Some(kilobytes * 1024)
 }
 
 pub(super) fn memory(root: &Path) -> Finding {

@@ -1,34 +1,36 @@
 //! `lsfb bench twin`: the standard trial.
 
+mod at_once;
 mod cost;
 mod judging;
 mod page;
 mod result;
 mod rigs;
+mod scan;
 mod session;
 mod trial;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
-use lsfb_pipeline::ground_truth::GroundTruthConfig;
-use lsfb_pipeline::mapping::MappingConfig;
-use lsfb_recording::Provenance;
-use lsfb_sim::{Device, Look, Place, SimConfig};
+use lsfb_sim::{Device, Look, Place};
 use serde::Serialize;
 
 use crate::commands::sim::device;
 use crate::context::Context;
 use crate::judged::{self, Judged};
+use crate::memory;
 use crate::outcome::Outcome;
-use crate::standing;
+use at_once::each;
 use cost::{Cost, Costs};
 use result::Run;
 pub use result::WRONG_M;
 use rigs::{Bearer, Calibrated, Rigs, calibrated, true_rig};
+use scan::Scan;
+use session::Refusable;
 pub use session::refusal;
-use session::{Mapped, Refusable, STAGES, Session};
 pub use trial::OTHER_FLOOR;
 use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 
@@ -79,6 +81,10 @@ pub struct Arguments {
     /// Surfaces painted each in its own way, with signs, books, screens and papers that have words on them, and a view out of the windows.
     #[arg(long)]
     detailed_look: bool,
+    /// Places that are worked on at the same time; without it, as many as cores and free memory allow. Results do not depend on it;
+    /// the time of a stage is then that beside others.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    at_once: Option<u16>,
     /// Keep all recordings: hundreds of megabytes for each scan, tens of gigabytes without --quick.
     #[arg(long)]
     keep_recordings: bool,
@@ -103,21 +109,10 @@ struct Printed<'a> {
     page: &'a Path,
 }
 
-/// All that decides what a run gives.
-#[derive(Serialize)]
-struct Settings {
-    walked: Walked,
-    rigs: Rigs,
-    scan: SimConfig,
-    walk: SimConfig,
-    mapping: MappingConfig,
-    ground_truth: GroundTruthConfig,
-}
-
 /// Runs what does not stand from a trial that was interrupted.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     take_folder(&arguments.out, context)?;
-    let mut trial = Trial {
+    let trial = Trial {
         out: &arguments.out,
         size: match (arguments.quick, arguments.try_out) {
             (true, _) => Size::Quick,
@@ -136,7 +131,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             },
         },
         context,
-        rigs: BTreeMap::new(),
+        rigs: Mutex::default(),
     };
     let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
     let devices = or_all(&arguments.devices, &Device::ALL);
@@ -167,46 +162,79 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         doored.join(",")
     );
     let last = arguments.seed.saturating_add(arguments.seeds - 1);
+    let scans = (arguments.seed..=last).flat_map(|seed| {
+        let size = trial.size;
+        places
+            .iter()
+            .map(move |&place| Scanned { place, seed, size })
+    });
+    let scans: Vec<Scanned> = scans.collect();
+    let asked = arguments.at_once.map(usize::from);
+    let at_once = asked.unwrap_or_else(|| trial.size.at_once());
     let total = of_a_seed * arguments.seeds as usize;
-    let (began, mut made, mut runs) = (Instant::now(), 0, Vec::new());
-    for seed in arguments.seed..=last {
-        for place in &places {
-            let scanned = Scanned {
-                place: *place,
-                seed,
-                size: trial.size,
-            };
-            let mut scan = Scan::new(&trial, scanned);
-            let of_device = |device: &Device| {
-                let walked = |condition: &Condition| Walked {
-                    scanned,
-                    condition: *condition,
-                    device: *device,
-                };
-                conditions(*place).map(walked).collect::<Vec<_>>()
-            };
-            let walks: Vec<Walked> = devices.iter().flat_map(of_device).collect();
-            scan.record(&mut trial, &walks)?;
-            for walked in &walks {
-                let (run, is_new) = scan.run(&mut trial, walked, arguments.keep_recordings)?;
-                made += usize::from(is_new);
-                runs.push(run);
-                if is_new {
-                    let each_s = began.elapsed().as_secs_f64() / made as f64;
-                    context.note(&format!(
-                        "{} of {total} runs, about {:.0} min left",
-                        runs.len(),
-                        each_s * (total - runs.len()) as f64 / 60.0
-                    ));
-                }
-            }
-            if !arguments.keep_recordings {
-                // Large, and its map is there.
-                standing::remove(&scan.session.folder.join("scan.mcap"))?;
+    let (began, progress) = (Instant::now(), Mutex::new(Made::default()));
+    let runs_of = |scanned: &Scanned, context: &Context| {
+        let walked = |device: Device| {
+            conditions(scanned.place).map(move |condition| Walked {
+                scanned: *scanned,
+                condition: *condition,
+                device,
+            })
+        };
+        let walks: Vec<Walked> = devices.iter().flat_map(|d| walked(*d)).collect();
+        let mut scan = Scan::new(&trial, *scanned, context);
+        scan.record(&walks)?;
+        let mut runs = Vec::with_capacity(walks.len());
+        for walked in &walks {
+            let (run, is_new) = scan.run(walked, arguments.keep_recordings)?;
+            runs.push(run);
+            let said = progress.lock().map(|mut made| {
+                made.count(is_new);
+                made.left_of(total, began.elapsed())
+            });
+            if let (true, Ok(said)) = (is_new, said) {
+                context.note(&said);
             }
         }
-    }
+        if !arguments.keep_recordings {
+            scan.forget_recording()?;
+        }
+        Ok(runs)
+    };
+    let runs = match at_once.min(scans.len()) {
+        0 | 1 => each(&scans, 1, |scanned| runs_of(scanned, context))?,
+        several => {
+            memory::several_at_once();
+            each(&scans, several, |scanned| {
+                let name = format!("{} {}", scanned.place.name(), scanned.seed);
+                runs_of(scanned, &context.part(&name))
+            })?
+        }
+    };
+    let runs = runs.concat();
     finish(&arguments.out, &runs, context)
+}
+
+/// How far a trial is.
+#[derive(Default)]
+struct Made {
+    /// Runs that were made now.
+    new: usize,
+    /// And those that stood.
+    all: usize,
+}
+
+impl Made {
+    fn count(&mut self, is_new: bool) {
+        self.new += usize::from(is_new);
+        self.all += 1;
+    }
+
+    fn left_of(&self, total: usize, elapsed: Duration) -> String {
+        let each_min = elapsed.as_secs_f64() / 60.0 / self.new.max(1) as f64;
+        let left_min = each_min * total.saturating_sub(self.all) as f64;
+        format!("{} of {total} runs, about {left_min:.0} min left", self.all)
+    }
 }
 
 /// Takes an empty folder, or one of a trial.
@@ -262,8 +290,8 @@ struct Trial<'a> {
     given: Rigs,
     light: Light,
     context: &'a Context,
-    /// Rigs that were calibrated, by seed and name, with what that took.
-    rigs: BTreeMap<(u64, &'static str), Rig>,
+    /// Rigs that were calibrated, by seed and name, with what that took. Whoever needs one that another calibrates waits for it.
+    rigs: Mutex<BTreeMap<(u64, &'static str), Rig>>,
 }
 
 /// A rig, or why there is none, and what it took to calibrate.
@@ -275,12 +303,16 @@ struct Rig {
 
 impl Trial<'_> {
     /// The rig of the backpack, or of a device, as calibrated with a seed.
-    fn rig(&mut self, seed: u64, device: Option<Device>) -> anyhow::Result<Rig> {
+    fn rig(&self, seed: u64, device: Option<Device>) -> anyhow::Result<Rig> {
         let (name, bearer) = match device {
             None => ("backpack", Bearer::Backpack),
             Some(device) => (device.name(), Bearer::Walker),
         };
-        if let Some(rig) = self.rigs.get(&(seed, name)) {
+        let mut rigs = self
+            .rigs
+            .lock()
+            .map_err(|_| anyhow::anyhow!("a calibration beside this one broke off"))?;
+        if let Some(rig) = rigs.get(&(seed, name)) {
             return Ok(rig.clone());
         }
         let config = calibration(device.unwrap_or_default(), seed, self.size);
@@ -320,141 +352,7 @@ impl Trial<'_> {
                 cost: costs.get(name),
             };
         };
-        self.rigs.insert((seed, name), rig.clone());
+        rigs.insert((seed, name), rig.clone());
         Ok(rig)
-    }
-}
-
-/// A place with a seed: scanned and mapped once, when the first walk needs it.
-struct Scan<'a> {
-    session: Session<'a>,
-    costs: Costs,
-    mapped: Option<Refusable<Mapped>>,
-}
-
-impl<'a> Scan<'a> {
-    fn new(trial: &Trial<'a>, scanned: Scanned) -> Self {
-        let folder = trial
-            .out
-            .join(format!("{}-{}", scanned.place.name(), scanned.seed));
-        Self {
-            costs: Costs::open(folder.join("costs.json")),
-            session: Session {
-                folder,
-                scanned,
-                light: trial.light.clone(),
-                context: trial.context,
-            },
-            mapped: None,
-        }
-    }
-
-    /// Records the scan and the walks that do not stand: those of one world after another, so that it is built once.
-    fn record(&mut self, trial: &mut Trial, walks: &[Walked]) -> anyhow::Result<()> {
-        let pending = walks.iter().filter(|w| self.standing(trial, w).is_none());
-        let mut pending: Vec<&Walked> = pending.collect();
-        if pending.is_empty() {
-            return Ok(());
-        }
-        let seed = self.session.scanned.seed;
-        let Ok(backpack) = trial.rig(seed, None)?.found else {
-            return Ok(());
-        };
-        let mut last = None;
-        self.session
-            .record_scan(&backpack, &mut self.costs, &mut last)?;
-        // The scan's world is that of the walks as scanned.
-        pending.sort_by_key(|walked| walked.condition);
-        for walked in pending {
-            let Ok(device) = trial.rig(seed, Some(walked.device))?.found else {
-                continue;
-            };
-            let folder = self.session.walk_folder(walked);
-            let mut costs = Costs::open(folder.join("costs.json"));
-            self.session
-                .record_walk(walked, &device, &mut costs, &mut last)?;
-        }
-        Ok(())
-    }
-
-    /// Where the result of a walk lies, and what makes it.
-    fn result(&self, trial: &Trial, walked: &Walked) -> (PathBuf, Provenance) {
-        let made_from = Provenance::new(&Settings {
-            walked: *walked,
-            rigs: trial.given,
-            scan: trial.light.on(walked.scanned.config()),
-            walk: trial.light.on(walked.config()),
-            mapping: MappingConfig::default(),
-            ground_truth: GroundTruthConfig::default(),
-        });
-        let folder = self.session.walk_folder(walked);
-        (folder.join("run.json"), made_from)
-    }
-
-    fn standing(&self, trial: &Trial, walked: &Walked) -> Option<Run> {
-        let (path, made_from) = self.result(trial, walked);
-        trial.context.standing(&[&path], &made_from)
-    }
-
-    /// One walk that is recorded, and whether it was made now; what stands is read.
-    fn run(
-        &mut self,
-        trial: &mut Trial,
-        walked: &Walked,
-        keep: bool,
-    ) -> anyhow::Result<(Run, bool)> {
-        if let Some(run) = self.standing(trial, walked) {
-            return Ok((run, false));
-        }
-        let (path, made_from) = self.result(trial, walked);
-        let folder = self.session.walk_folder(walked);
-        std::fs::create_dir_all(&folder)?;
-        standing::forget(&[&path])?;
-        let run = self.make(trial, walked, &folder)?;
-        crate::files::write(&path, serde_json::to_vec_pretty(&run)?)?;
-        standing::finish(&[&path], &[], &made_from, &run)?;
-        if !keep {
-            standing::remove(&folder.join("walk.mcap"))?;
-        }
-        Ok((run, true))
-    }
-
-    fn make(&mut self, trial: &mut Trial, walked: &Walked, folder: &Path) -> anyhow::Result<Run> {
-        let seed = walked.scanned.seed;
-        let rigs = [
-            trial.rig(seed, None)?,
-            trial.rig(seed, Some(walked.device))?,
-        ];
-        let mut costs = Costs::open(folder.join("costs.json"));
-        let mut run = Run::of(walked, trial.given);
-        match (&rigs[0].found, &rigs[1].found) {
-            (Err(why), _) | (_, Err(why)) => run.refused = Some(why.clone()),
-            (Ok(backpack), Ok(device)) => {
-                run.rigs_off = [backpack.off.clone(), device.off.clone()].concat();
-                if self.mapped.is_none() {
-                    self.mapped = Some(self.session.map(&mut self.costs)?);
-                }
-                match &self.mapped {
-                    Some(Ok(mapped)) => {
-                        self.session.walk(walked, mapped, &mut costs, &mut run)?;
-                    }
-                    Some(Err(why)) => run.refused = Some(why.clone()),
-                    None => {}
-                }
-            }
-        }
-        let of_rigs = STAGES
-            .iter()
-            .zip(&rigs)
-            .map(|(name, rig)| (*name, rig.cost));
-        let others = STAGES.iter().skip(rigs.len());
-        let others = others.map(|name| (*name, self.costs.get(name).or(costs.get(name))));
-        for (name, cost) in of_rigs.chain(others) {
-            if let Some(cost) = cost {
-                run.stages_s.push((name.to_owned(), cost.wall_s));
-                run.peak_rss_mb = run.peak_rss_mb.max(cost.peak_rss_mb);
-            }
-        }
-        Ok(run)
     }
 }
