@@ -195,7 +195,7 @@ impl Default for GroundTruthConfig {
             min_map_points: 6,
             max_bridge_secs: 3.0,
             max_extrapolation_secs: 1.0,
-            max_position_sigma_m: 0.05,
+            max_position_sigma_m: 0.03,
             max_disagreement_m: 0.08,
             // Three-second walks on another floor that is built alike came to 0.03 at least; right ones to 0.006, and one of 24 s to 0.015.
             max_absent_share: 0.06,

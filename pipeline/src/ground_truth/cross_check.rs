@@ -23,6 +23,7 @@ use super::uncertainty::{Deviations, of_stretch};
 use super::walk::{LocalObservation, LocalPoint, Walk};
 use crate::Error;
 use crate::frames::times_apart;
+use crate::worst_sigma::worst_sigmas;
 
 /// Frames that are checked are this far apart, seconds: neighbours see the same points, and share their errors.
 const STEP_SECS: f64 = 0.095;
@@ -37,6 +38,10 @@ const GROUPS: usize = 4;
 const HALVES: [[usize; 2]; 6] = [[0, 1], [2, 3], [0, 2], [1, 3], [0, 3], [1, 2]];
 /// A half that leads further away than this share of what is allowed is weighed by what it knows.
 const WEIGHED_FROM: f64 = 0.5;
+/// One that pulls the whole less far than this share of it has nothing to say there.
+const HARMLESS: f64 = 0.25;
+/// Standard deviation, as such a share, up to which a position is known well enough without it.
+const KNOWN: f64 = 0.1;
 /// Rounds in which a half chooses its observations, as far from the whole's as its own poses lead.
 const ROUNDS: usize = 2;
 
@@ -85,19 +90,21 @@ fn length_m(moved: &Vector6<f64>) -> f64 {
 /// Weighs how far the poses by a half lie from those by all by what it says in the whole. Of a half that sees all of its points in one
 /// direction the poses may lie anywhere along another, in which the whole hardly listens to it. With the normal matrices `H` of all and `H₁` of the
 /// half its observations pull the whole by `H⁻¹ H₁ δ`, where alone they lead `δ` away; half as far where both halves know as much, so that
-/// twice that is what stands for `δ`, where it is less.
+/// twice that is what stands for `δ`. A half that pulls further than `harmless_m` is no weak one, and where all know a position no better than
+/// `known_m` a half has as much to say as they: there counts where it leads.
 fn weigh(
     moves: &mut [Vector6<f64>],
-    by_all: &[Option<Matrix6<f64>>],
-    by_half: &[Option<Matrix6<f64>>],
+    [by_all, by_half]: [&[Option<Matrix6<f64>>]; 2],
+    [harmless_m, known_m]: [f64; 2],
 ) {
     for (moved, (by_all, by_half)) in moves.iter_mut().zip(by_all.iter().zip(by_half)) {
         let information = by_half.and_then(|covariance| covariance.try_inverse());
         let Some((by_all, information)) = by_all.zip(information) else {
             continue;
         };
+        let [_, sigma_m] = worst_sigmas(&by_all);
         let pulled = by_all * information * *moved * 2.0;
-        if length_m(&pulled) < length_m(moved) {
+        if sigma_m < known_m && length_m(&pulled) < harmless_m.min(length_m(moved)) {
             *moved = pulled;
         }
     }
@@ -120,7 +127,8 @@ pub(super) fn check_halves(
     }
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
     let shown = Deviations::of(walk, estimate, points);
-    let limit_m = WEIGHED_FROM * config.max_disagreement_m;
+    let [limit_m, harmless_m, known_m] =
+        [WEIGHED_FROM, HARMLESS, KNOWN].map(|share| share * config.max_disagreement_m);
     let found: Vec<(Range<usize>, Vec<Option<Vector6<f64>>>)> = jobs
         .into_par_iter()
         .map(|(core, half)| {
@@ -143,7 +151,8 @@ pub(super) fn check_halves(
             if moves.iter().any(|m| length_m(m) > limit_m) {
                 let whole = Stretch::new(walk, estimate, points, &checked[begin..end]);
                 let [by_all, by_half] = [&whole, &half].map(|s| s.covariances(&shown, config));
-                weigh(&mut moves, &by_all?, &by_half?);
+                let of_both = [&by_all?[..], &by_half?];
+                weigh(&mut moves, of_both, [harmless_m, known_m]);
             }
             let moves = moves[core.start - begin..core.end - begin].iter();
             Ok((core.clone(), moves.copied().map(Some).collect()))
@@ -329,4 +338,46 @@ fn divide(sighted: &mut [Sighted], numbers: Range<usize>, groups: &mut BTreeMap<
     let middle = numbers.start + numbers.len() / 2;
     divide(low, numbers.start..middle, groups);
     divide(high, middle..numbers.end, groups);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A covariance with these standard deviations of attitude and place, the latter along x and across it.
+    fn known_to(rotation_rad: f64, along_m: f64, across_m: f64) -> Option<Matrix6<f64>> {
+        let r = rotation_rad;
+        let sigmas = Vector6::new(r, r, r, along_m, across_m, across_m);
+        Some(Matrix6::from_diagonal(&sigmas.map(|sigma| sigma * sigma)))
+    }
+
+    fn weighed_m(away_m: f64, by_all: Option<Matrix6<f64>>, by_half: Option<Matrix6<f64>>) -> f64 {
+        let mut moves = [Vector6::new(0.0, 0.0, 0.0, away_m, 0.0, 0.0)];
+        weigh(&mut moves, [&[by_all], &[by_half]], [0.02, 0.008]);
+        length_m(&moves[0])
+    }
+
+    /// Half of the points in a narrow part of the view lead far away along it, and the whole hardly listens.
+    #[test]
+    fn a_half_that_knows_little_says_little() {
+        let by_all = known_to(1e-3, 0.003, 0.003);
+        let by_weak = known_to(1e-2, 0.03, 0.005);
+        let said_m = weighed_m(0.15, by_all, by_weak);
+        assert!((said_m - 2.0 * 0.15 * 0.01).abs() < 1e-9, "{said_m}");
+        // Both halves know as much: this one counts as it is, as does one that knows all there is.
+        let root = 2.0_f64.sqrt();
+        let by_equal = known_to(1e-3 * root, 0.003 * root, 0.003 * root);
+        assert!((weighed_m(0.15, by_all, by_equal) - 0.15).abs() < 1e-9);
+        assert!((weighed_m(0.15, by_all, by_all) - 0.15).abs() < 1e-9);
+    }
+
+    /// Before a bare door frame neither the whole nor a half knows a place along it.
+    #[test]
+    fn where_all_know_little_a_half_counts() {
+        let by_half = known_to(1e-2, 0.1, 0.02);
+        assert!(weighed_m(0.1, known_to(1e-3, 0.012, 0.003), by_half) > 0.099);
+        assert!(weighed_m(0.1, known_to(1e-3, 0.006, 0.003), by_half) < 0.001);
+        assert!(weighed_m(0.1, None, by_half) > 0.099);
+        assert!(weighed_m(0.1, by_half, None) > 0.099);
+    }
 }

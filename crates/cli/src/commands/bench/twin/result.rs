@@ -61,7 +61,7 @@ pub struct Run {
     pub rigs_off: Vec<SensorOff>,
     /// The stages in the order in which they ran. Scan, map and calibration are shared by the runs of a place.
     pub stages_s: Vec<(String, f64)>,
-    /// The most that any stage held at once.
+    /// The most that the program held during any stage, with that of other places beside it.
     pub peak_rss_mb: f64,
 }
 
