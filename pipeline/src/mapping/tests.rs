@@ -4,7 +4,7 @@ use std::sync::Mutex;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_types::{Finding, Progress, Stopped, Verdict, no_progress};
+use lsfb_types::{Finding, Progress, Stopped, Timestamp, Verdict, no_progress};
 use nalgebra::Matrix3;
 
 use super::*;
