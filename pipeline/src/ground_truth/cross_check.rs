@@ -82,6 +82,9 @@ impl HalvesCheck {
     }
 }
 
+/// How far a half moves each of some poses; `None` where it leads nowhere.
+type Moves = Vec<Option<Vector6<f64>>>;
+
 /// How far a tangent `[rotation, translation]` moves a position, metres.
 fn length_m(moved: &Vector6<f64>) -> f64 {
     moved.fixed_rows::<3>(3).norm()
@@ -129,7 +132,7 @@ pub(super) fn check_halves(
     let shown = Deviations::of(walk, estimate, points);
     let [limit_m, harmless_m, known_m] =
         [WEIGHED_FROM, HARMLESS, KNOWN].map(|share| share * config.max_disagreement_m);
-    let found: Vec<(Range<usize>, Vec<Option<Vector6<f64>>>)> = jobs
+    let found: Vec<(Range<usize>, Moves)> = jobs
         .into_par_iter()
         .map(|(core, half)| {
             progress(Progress {

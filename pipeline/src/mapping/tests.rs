@@ -139,7 +139,7 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
     assert!(report.rounds[0].plane_matches > 500 && report.rounds[0].edge_matches > 20);
 
     let start = result.trajectory.poses()[0];
-    let secs = |time: lsfb_types::Timestamp| time.secs_since(room::time(0.0));
+    let secs = |time: Timestamp| time.secs_since(room::time(0.0));
     let truth_from_found = room::world_from_rig(secs(start.time)) * start.world_from_rig.inverse();
     for pose in result.trajectory.poses() {
         let truth = room::world_from_rig(secs(pose.time));
