@@ -184,6 +184,13 @@ impl Display {
     }
 }
 
+/// A part that ends takes its bar with it.
+impl Drop for Display {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
 fn line(state: &Shown, progress: Progress) -> String {
     let elapsed = state.started.elapsed().as_secs_f64();
     if progress.total > 0 && progress.done > 0 {

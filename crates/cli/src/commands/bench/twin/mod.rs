@@ -130,7 +130,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 false => Look::Plain,
             },
         },
-        context,
         rigs: Mutex::default(),
     };
     let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
@@ -289,7 +288,6 @@ struct Trial<'a> {
     size: Size,
     given: Rigs,
     light: Light,
-    context: &'a Context,
     /// Rigs that were calibrated, by seed and name, with what that took. Whoever needs one that another calibrates waits for it.
     rigs: Mutex<BTreeMap<(u64, &'static str), Rig>>,
 }
@@ -302,8 +300,8 @@ struct Rig {
 }
 
 impl Trial<'_> {
-    /// The rig of the backpack, or of a device, as calibrated with a seed.
-    fn rig(&self, seed: u64, device: Option<Device>) -> anyhow::Result<Rig> {
+    /// The rig of the backpack, or of a device, as calibrated with a seed; `context` is that of who needs it first.
+    fn rig(&self, seed: u64, device: Option<Device>, context: &Context) -> anyhow::Result<Rig> {
         let (name, bearer) = match device {
             None => ("backpack", Bearer::Backpack),
             Some(device) => (device.name(), Bearer::Walker),
@@ -339,12 +337,11 @@ impl Trial<'_> {
             config.glasses.duration_s *= longer;
             let mut costs = Costs::open(folder.join("costs.json"));
             let found = costs.of(name, |made| {
-                calibrated(&folder, &config, bearer, || made.set(true), self.context)
+                calibrated(&folder, &config, bearer, || made.set(true), context)
             });
             let found = refusal(found, "calibration")?;
             if let (Err(why), true) = (&found, attempts.peek().is_some()) {
-                self.context
-                    .note(&format!("{name}: {why}; recorded again, for longer"));
+                context.note(&format!("{name}: {why}; recorded again, for longer"));
                 continue;
             }
             break Rig {

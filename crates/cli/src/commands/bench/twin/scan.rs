@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
-use lsfb_sim::SimConfig;
+use lsfb_sim::{Device, SimConfig};
 use serde::Serialize;
 
-use super::Trial;
 use super::cost::Costs;
 use super::result::Run;
 use super::rigs::Rigs;
 use super::session::{Mapped, Refusable, STAGES, Session};
 use super::trial::{Scanned, Walked};
+use super::{Rig, Trial};
 use crate::context::Context;
 use crate::standing;
 
@@ -54,6 +54,12 @@ impl<'a> Scan<'a> {
         }
     }
 
+    /// The rig of the backpack, or of a device.
+    fn rig(&self, device: Option<Device>) -> anyhow::Result<Rig> {
+        let seed = self.session.scanned.seed;
+        self.trial.rig(seed, device, self.session.context)
+    }
+
     /// Records the scan and the walks that do not stand: those of one world after another, so that it is built once.
     pub fn record(&mut self, walks: &[Walked]) -> anyhow::Result<()> {
         let pending = walks.iter().filter(|w| self.standing(w).is_none());
@@ -61,8 +67,7 @@ impl<'a> Scan<'a> {
         if pending.is_empty() {
             return Ok(());
         }
-        let seed = self.session.scanned.seed;
-        let Ok(backpack) = self.trial.rig(seed, None)?.found else {
+        let Ok(backpack) = self.rig(None)?.found else {
             return Ok(());
         };
         let mut last = None;
@@ -71,7 +76,7 @@ impl<'a> Scan<'a> {
         // The scan's world is that of the walks as scanned.
         pending.sort_by_key(|walked| walked.condition);
         for walked in pending {
-            let Ok(device) = self.trial.rig(seed, Some(walked.device))?.found else {
+            let Ok(device) = self.rig(Some(walked.device))?.found else {
                 continue;
             };
             let folder = self.session.walk_folder(walked);
@@ -120,11 +125,7 @@ impl<'a> Scan<'a> {
     }
 
     fn make(&mut self, walked: &Walked, folder: &Path) -> anyhow::Result<Run> {
-        let seed = walked.scanned.seed;
-        let rigs = [
-            self.trial.rig(seed, None)?,
-            self.trial.rig(seed, Some(walked.device))?,
-        ];
+        let rigs = [self.rig(None)?, self.rig(Some(walked.device))?];
         let mut costs = Costs::open(folder.join("costs.json"));
         let mut run = Run::of(walked, self.trial.given);
         match (&rigs[0].found, &rigs[1].found) {
