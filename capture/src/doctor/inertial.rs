@@ -1,7 +1,7 @@
 //! Whether what an IMU measured can come from one that is carried.
 //!
 //! Whoever carries it holds it up: its specific force is that of gravity on average, however it is turned, and walking adds little.
-//! A unit that sends zeros, forces in g or rates in degrees sends as steadily as any other.
+//! A unit that sends zeros, forces in g, rates in degrees or the same samples several times sends as steadily as any other.
 
 use lsfb_recording::Recording;
 use lsfb_recording::message::{self, decode_imu};
@@ -24,6 +24,10 @@ const MOST_RAD_S: [(f64, f64, &str); 2] = [(0.5, 10.0, "half"), (0.95, 15.0, "a 
 /// An axis is dead where it never changes though the others of its sensor change by this: rad/s, m/s².
 const TURNS_RAD_S: f64 = 0.3;
 const FORCES_M_S2: f64 = 1.0;
+/// Something that turns so fast measures something else each time, rad/s: there are no two samples without a difference …
+const TURNING_RAD_S: f64 = 0.1;
+/// … but for this share of them, which a driver may have sent twice; from the other on the IMU measures at less than half of the rate it claims.
+const REPEATED: [f64; 2] = [0.05, 0.5];
 /// What to do where arrivals go back.
 pub(super) const SET_BEFORE: &str = "set this machine's clock, by chrony or NTP, before recording";
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -39,6 +43,10 @@ struct Measured {
     /// Smallest and largest of each axis, of rates and of forces.
     ranges: [[[f64; 2]; 3]; 2],
     repeats: Repeats<ImuSample>,
+    last: Option<ImuSample>,
+    /// Samples that were taken in a turn, and how many of them are the one before once more.
+    turning: usize,
+    repeated: usize,
     stamps: Order,
     arrivals: Order,
 }
@@ -61,12 +69,39 @@ impl Measured {
         }
         self.samples += 1;
         let [rate, force] = values.map(|v| v.iter().map(|value| value * value).sum::<f64>().sqrt());
+        if rate > TURNING_RAD_S {
+            self.turning += 1;
+            self.repeated += usize::from(self.last == Some(sample));
+        }
+        self.last = Some(sample);
         self.rates_rad_s.push(rate);
         self.forces_m_s2.push(force);
     }
 
     /// What cannot be, and what to do about it.
-    fn problems(&self) -> Vec<(String, &'static str)> {
+    fn problems(&self) -> Vec<(Verdict, String, &'static str)> {
+        let failures = self.failures().into_iter();
+        let mut problems: Vec<_> = failures
+            .map(|(found, remedy)| (Verdict::Fail, found, remedy))
+            .collect();
+        let share = self.repeated as f64 / self.turning.max(1) as f64;
+        let [some, most] = REPEATED;
+        if self.turning >= LEAST_SAMPLES && share > some {
+            let found = format!(
+                "{:.0} % of the samples in turns are the one before once more: it measures more rarely than it sends",
+                100.0 * share
+            );
+            let remedy = "have each reading written once, with its own stamp";
+            let verdict = match share > most {
+                true => Verdict::Fail,
+                false => Verdict::Warn,
+            };
+            problems.push((verdict, found, remedy));
+        }
+        problems
+    }
+
+    fn failures(&self) -> Vec<(String, &'static str)> {
         const FORMAT: &str = "look at the program that wrote them";
         let mut problems = Vec::new();
         if self.unreadable > 0 {
@@ -116,11 +151,26 @@ impl Measured {
             problems.push((found, "are they in degrees? Rates are in rad/s"));
         }
         let sensors = [("gyroscope", TURNS_RAD_S), ("accelerometer", FORCES_M_S2)];
-        for ((sensor, moving), ranges) in sensors.into_iter().zip(&self.ranges) {
-            let widths = ranges.map(|[least, most]| most - least);
-            let moves = widths.iter().filter(|width| **width > moving).count() == 2;
-            let dead = widths.iter().position(|width| *width == 0.0);
-            if let Some(axis) = dead.filter(|_| moves) {
+        let widths = self
+            .ranges
+            .map(|axes| axes.map(|[least, most]| most - least));
+        let moving = |sensor: usize| {
+            let moving = widths[sensor].iter().filter(|w| **w > sensors[sensor].1);
+            moving.count()
+        };
+        for (n, (sensor, _)) in sensors.into_iter().enumerate() {
+            let ranges = &self.ranges[n];
+            if widths[n] == [0.0; 3] && moving(1 - n) == 3 {
+                let other = sensors[1 - n].0;
+                let [x, y, z] = ranges.map(|[value, _]| value);
+                let found = format!(
+                    "its {sensor} says ({x}, {y}, {z}) all along while its {other} feels motion: it is dead"
+                );
+                problems.push((found, "repair or exchange it, or switch that sensor on"));
+                continue;
+            }
+            let dead = widths[n].iter().position(|width| *width == 0.0);
+            if let Some(axis) = dead.filter(|_| moving(n) == 2) {
                 let (name, value) = (AXES[axis], ranges[axis][0]);
                 let found = format!(
                     "{name} of its {sensor} stands at {value} while the others change: it is dead"
@@ -173,9 +223,9 @@ impl Findings {
         }
         let problems = measured.problems();
         let is_well = problems.is_empty();
-        for (found, remedy) in problems {
+        for (verdict, found, remedy) in problems {
             let found = format!("{found}, {of}");
-            self.add(Finding::new("inertial", Verdict::Fail, topic, found).remedy(remedy));
+            self.add(Finding::new("inertial", verdict, topic, found).remedy(remedy));
         }
         if measured.samples < LEAST_SAMPLES {
             let found = format!("whether they can be true cannot be said {of}: too few");
@@ -285,6 +335,19 @@ mod tests {
             },
             "no number",
         );
+        fails(
+            |n| [[0.0; 3], walk(n)[1]],
+            "its gyroscope says (0, 0, 0) all along",
+        );
+        fails(
+            |n| [walk(n)[0], [0.0, 0.0, 9.81]],
+            "its accelerometer says (0, 0, 9.81) all along",
+        );
+        fails(|n| walk(n / 10 * 10), "90 % of the samples in turns");
+        // One of ten was written twice.
+        let twice = found(|n| walk(n - i64::from(n % 10 == 0)));
+        let is_warned = |f: &Finding| f.verdict == Verdict::Warn && f.what.contains("10 % of");
+        assert!(twice.iter().any(is_warned), "{twice:?}");
         // At rest on a table, with noise: nothing moves, and nothing is dead.
         let rest = found(|n| {
             let noise = (n * 7919 % 101) as f64 * 1e-5;

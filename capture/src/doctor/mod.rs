@@ -176,6 +176,17 @@ pub fn examine(
     })
 }
 
+/// Looks at what the IMUs of a recording measured, all of it, and at nothing else.
+pub fn examine_imus(recording: &Recording) -> Result<Judgement, lsfb_recording::Error> {
+    let config = DoctorConfig {
+        read: Depth::Everything,
+        ..DoctorConfig::default()
+    };
+    let mut findings = Findings(Vec::new());
+    findings.inertial(recording, &config)?;
+    Ok(Judgement::new(findings.0))
+}
+
 /// What was found so far; each file of this module adds its own.
 struct Findings(Vec<Finding>);
 

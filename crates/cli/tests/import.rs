@@ -279,6 +279,40 @@ fn written(folder: &Path, files: &[(&str, String)]) {
     }
 }
 
+/// What can be imported need not be what an IMU measures: a gyroscope that was never switched on, readings of 10 Hz written at 100 Hz.
+#[test]
+fn an_imu_that_repeats_itself_is_said() {
+    let header = "#timestamp [ns],w_x [rad s^-1],w_y,w_z,a_x [m s^-2],a_y,a_z";
+    let turning = |n: i64| {
+        let wave = |hz: f64| (hz * n as f64 * 0.01 * std::f64::consts::TAU).sin();
+        [
+            [0.3 * wave(1.0), wave(1.3), 0.5 * wave(0.4)],
+            [2.0 * wave(1.9), wave(1.1), 9.81 + wave(2.0)],
+        ]
+    };
+    let said = |measured: &dyn Fn(i64) -> [[f64; 3]; 2]| {
+        let folder = tempfile::tempdir().expect("folder");
+        let rows = inertial_rows(header, |n| {
+            let [[wx, wy, wz], [ax, ay, az]] = measured(n);
+            let at = 5_000_000_000 + n * 10_000_000;
+            format!("{at},{wx},{wy},{wz},{ax},{ay},{az}")
+        });
+        written(folder.path(), &[("mav0/imu0/data.csv", rows)]);
+        let report = import(folder.path(), Path::new("mav0"), &[], 0);
+        let findings = report["findings"].as_array().expect("findings").iter();
+        let what: Vec<&str> = findings.filter_map(|f| f["what"].as_str()).collect();
+        (report["verdict"].clone(), what.join("; "))
+    };
+    assert_eq!(said(&turning).0, "pass");
+    let (verdict, what) = said(&|n| [[0.0; 3], turning(n)[1]]);
+    assert!(
+        verdict == "fail" && what.contains("gyroscope says (0, 0, 0)"),
+        "{what}"
+    );
+    let (verdict, what) = said(&|n| turning(n / 10 * 10));
+    assert!(verdict == "fail" && what.contains("once more"), "{what}");
+}
+
 fn mars_logger(folder: &Path) {
     written(folder, &[
         ("mars/gyro_accel.csv", inertial_rows(

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
+use lsfb_capture::doctor::examine_imus;
 use lsfb_datasets::import::{Format, ImportConfig, ImportReport, RecordCount, StampUnit, import};
 use lsfb_geometry::Rig;
-use lsfb_recording::Provenance;
+use lsfb_recording::{Provenance, Recording};
 
 use crate::context::Context;
 use crate::files::expect_file;
-use crate::judged::printable;
+use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
 /// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
@@ -19,7 +20,7 @@ use crate::outcome::Outcome;
 ///
 /// The format is recognised by its content. Every record is counted; what has no place in a recording is listed; ground truth and
 /// trajectories stay beside it. Stamps are the device's own: such a recording says nothing about its clock. Videos need the system's
-/// `ffmpeg`. Exit code 3: records could not be read.
+/// `ffmpeg`. What its IMU measured is judged as by `lsfb doctor`, and written as it is. Exit code 3: records could not be read.
 ///
 /// Examples:
 ///   lsfb import mav0 --out walk.mcap
@@ -124,7 +125,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         provenance.add_input(input)?;
     }
     provenance.write(&arguments.out)?;
-    context.print(&report, || printable(&text(&report)))?;
+    let imus = examine_imus(&Recording::open(&arguments.out)?)?;
+    let what = format!("{} of {}", report.format, report.device);
+    context.print(&Judged::new(&imus, &what, &report), || {
+        printable((text(&report) + &problem_lines(&imus)).trim_end())
+    })?;
     Ok(match report.unreadable() {
         0 => Outcome::Done,
         _ => Outcome::DataLost,
@@ -160,8 +165,8 @@ fn text(report: &ImportReport) -> String {
         let _ = writeln!(out, "  note: {note}");
     }
     out.push_str(match report.has_rig {
-        true => "  rig attached",
-        false => "  no rig: give one with --rig before images are used",
+        true => "  rig attached\n",
+        false => "  no rig: give one with --rig before images are used\n",
     });
     out
 }
