@@ -109,7 +109,8 @@ pub fn triangulate(
         if rays.len() < config.min_views.max(2) {
             return Err(TriangulationFailure::TooFewViews);
         }
-        let parallax_rad = largest_angle(&rays);
+        let directions: Vec<Vector3<f64>> = rays.iter().map(|ray| ray.direction).collect();
+        let parallax_rad = largest_angle(&directions);
         if parallax_rad < config.min_parallax_deg.to_radians() {
             return Err(TriangulationFailure::TooLittleParallax);
         }
@@ -123,6 +124,9 @@ pub fn triangulate(
             .max_by(|&a, &b| errors[a].total_cmp(&errors[b]))
             .ok_or(TriangulationFailure::TooFewViews)?;
         if errors[worst] <= config.max_reprojection_px {
+            if has_no_place(&point, rays.iter().map(|ray| ray.origin), config) {
+                return Err(TriangulationFailure::TooLittleParallax);
+            }
             let squares: f64 = errors.iter().map(|e| e * e).sum();
             return Ok(TriangulatedPoint {
                 point_in_world: point,
@@ -138,11 +142,27 @@ pub fn triangulate(
     }
 }
 
-fn largest_angle(rays: &[Ray]) -> f64 {
+/// Pixels turn rays towards each other by so much that a point comes to lie where its cameras see it under no angle: below this share of
+/// the least one it has a direction and no place.
+const LEAST_PARALLAX_SHARE: f64 = 0.5;
+
+/// Whether a point is so far from the cameras at `centres` that where it is rests on less than half of the parallax asked for.
+pub(crate) fn has_no_place(
+    point_in_world: &Vector3<f64>,
+    centres: impl IntoIterator<Item = Vector3<f64>>,
+    config: &TriangulationConfig,
+) -> bool {
+    let towards = centres.into_iter().map(|centre| centre - point_in_world);
+    let towards: Vec<Vector3<f64>> = towards.filter_map(|v| v.try_normalize(0.0)).collect();
+    largest_angle(&towards) < LEAST_PARALLAX_SHARE * config.min_parallax_deg.to_radians()
+}
+
+/// Largest angle between two of these directions, radians.
+fn largest_angle(directions: &[Vector3<f64>]) -> f64 {
     let mut smallest_cosine = 1.0f64;
-    for (i, a) in rays.iter().enumerate() {
-        for b in &rays[..i] {
-            smallest_cosine = smallest_cosine.min(a.direction.dot(&b.direction));
+    for (i, a) in directions.iter().enumerate() {
+        for b in &directions[..i] {
+            smallest_cosine = smallest_cosine.min(a.dot(b));
         }
     }
     smallest_cosine.clamp(-1.0, 1.0).acos()
@@ -268,6 +288,18 @@ mod tests {
         let config = TriangulationConfig::default();
         assert_eq!(
             triangulate(&far, &config),
+            Err(TriangulationFailure::TooLittleParallax)
+        );
+        // Rays that pass each other have an angle, and what they see together may be anywhere far away.
+        let side_by_side = [0.0, 0.1].map(|x| Se3::new(Default::default(), Vector3::x() * x));
+        let mut passing = views(&camera, &side_by_side, &Vector3::new(0.0, 0.0, 200.0));
+        passing[1].pixel.y += 4.0;
+        let low = TriangulationConfig {
+            min_parallax_deg: 0.5,
+            ..Default::default()
+        };
+        assert_eq!(
+            triangulate(&passing, &low),
             Err(TriangulationFailure::TooLittleParallax)
         );
         // Rays that diverge meet behind the cameras.

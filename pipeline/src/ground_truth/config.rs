@@ -41,7 +41,8 @@ pub struct GroundTruthConfig {
     pub min_recognised_share: f64,
     /// How many times as many localized frames must agree as with any other explanation of the walk that contradicts it.
     pub min_rival_margin: f64,
-    /// How many times as many points must be found where the walk is said to be as if all of it were where it fits next best.
+    /// How many times as many points must be found where the walk is said to be as if all of it were where it fits next best, unless what should
+    /// be in view there speaks against that place.
     pub min_place_margin: f64,
     /// Standard deviation of a localized position beyond what its matches say, metres.
     pub localization_sigma_m: f64,

@@ -85,6 +85,14 @@ impl HalvesCheck {
 /// How far a half moves each of some poses; `None` where it leads nowhere.
 type Moves = Vec<Option<Vector6<f64>>>;
 
+/// What a half says of a stretch.
+struct SolvedHalf {
+    /// How far it moves each pose.
+    moves: Vec<Vector6<f64>>,
+    /// Covariances of the poses by it alone, where it moves one of them far.
+    covariances: Option<Vec<Option<Matrix6<f64>>>>,
+}
+
 /// How far a tangent `[rotation, translation]` moves a position, metres.
 fn length_m(moved: &Vector6<f64>) -> f64 {
     moved.fixed_rows::<3>(3).norm()
@@ -123,48 +131,72 @@ pub(super) fn check_halves(
 ) -> Result<Vec<HalvesCheck>, Error> {
     let times: Vec<_> = walk.frames.iter().map(|frame| frame.time).collect();
     let checked = times_apart(&times, STEP_SECS);
-    let mut jobs: Vec<(Range<usize>, [usize; 2])> = Vec::new();
-    for first in (0..checked.len()).step_by(FRAMES_AT_ONCE) {
-        let end = (first + FRAMES_AT_ONCE).min(checked.len());
-        jobs.extend(HALVES.map(|half| (first..end, half)));
-    }
-    let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
+    let firsts = (0..checked.len()).step_by(FRAMES_AT_ONCE);
+    let cores: Vec<Range<usize>> = firsts
+        .map(|first| first..(first + FRAMES_AT_ONCE).min(checked.len()))
+        .collect();
+    let (done, total) = (AtomicU64::new(0), (cores.len() * HALVES.len()) as u64);
     let shown = Deviations::of(walk, estimate, points);
     let [limit_m, harmless_m, known_m] =
         [WEIGHED_FROM, HARMLESS, KNOWN].map(|share| share * config.max_disagreement_m);
-    let found: Vec<(Range<usize>, Moves)> = jobs
+    let found: Vec<(Range<usize>, Vec<Moves>)> = cores
         .into_par_iter()
-        .map(|(core, half)| {
-            progress(Progress {
-                stage: "cross-check",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total,
-            })?;
+        .map(|core| {
             let begin = core.start.saturating_sub(MARGIN_FRAMES);
             let end = (core.end + MARGIN_FRAMES).min(checked.len());
-            let stretch = Stretch::new(walk, estimate, points, &checked[begin..end]);
-            let Some(half) = stretch.solved_by(half, config)? else {
-                return Ok((core.clone(), vec![None; core.len()]));
+            let frames = &checked[begin..end];
+            let inside = core.start - begin..core.end - begin;
+            let halves: Vec<Option<SolvedHalf>> = HALVES
+                .into_par_iter()
+                .map(|half| {
+                    progress(Progress {
+                        stage: "cross-check",
+                        done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                        total,
+                    })?;
+                    let stretch = Stretch::new(walk, estimate, points, frames);
+                    let Some(half) = stretch.solved_by(half, config)? else {
+                        return Ok(None);
+                    };
+                    let apart = frames.iter().enumerate().map(|(k, frame)| {
+                        (estimate.pose(*frame).inverse() * *half.estimate.pose(k)).log()
+                    });
+                    let moves: Vec<Vector6<f64>> = apart.collect();
+                    let is_far = moves[inside.clone()].iter().any(|m| length_m(m) > limit_m);
+                    let covariances = is_far.then(|| half.covariances(&shown, config));
+                    Ok(Some(SolvedHalf {
+                        moves,
+                        covariances: covariances.transpose()?,
+                    }))
+                })
+                .collect::<Result<_, Error>>()?;
+            let is_far = |half: &SolvedHalf| half.covariances.is_some();
+            let by_all = match halves.iter().flatten().any(is_far) {
+                true => Stretch::new(walk, estimate, points, frames).covariances(&shown, config)?,
+                false => Vec::new(),
             };
-            let apart = (begin..end).map(|k| {
-                let by_all = estimate.pose(checked[k]);
-                (by_all.inverse() * *half.estimate.pose(k - begin)).log()
+            let moves = halves.into_iter().map(|solved| {
+                let Some(mut half) = solved else {
+                    return vec![None; core.len()];
+                };
+                if let Some(by_half) = &half.covariances {
+                    weigh(&mut half.moves, [&by_all, by_half], [harmless_m, known_m]);
+                }
+                half.moves[inside.clone()]
+                    .iter()
+                    .copied()
+                    .map(Some)
+                    .collect()
             });
-            let mut moves: Vec<Vector6<f64>> = apart.collect();
-            if moves.iter().any(|m| length_m(m) > limit_m) {
-                let whole = Stretch::new(walk, estimate, points, &checked[begin..end]);
-                let [by_all, by_half] = [&whole, &half].map(|s| s.covariances(&shown, config));
-                let of_both = [&by_all?[..], &by_half?];
-                weigh(&mut moves, of_both, [harmless_m, known_m]);
-            }
-            let moves = moves[core.start - begin..core.end - begin].iter();
-            Ok((core.clone(), moves.copied().map(Some).collect()))
+            Ok((core.clone(), moves.collect()))
         })
         .collect::<Result<_, Error>>()?;
     let mut said = vec![HalvesCheck::of_agreement(); checked.len()];
-    for (core, moves) in found {
-        for (said, moved) in said[core].iter_mut().zip(moves) {
-            *said = said.with(moved);
+    for (core, halves) in found {
+        for moves in halves {
+            for (said, moved) in said[core.clone()].iter_mut().zip(moves) {
+                *said = said.with(moved);
+            }
         }
     }
     Ok(spread_to_neighbours(walk, &checked, &said))

@@ -43,6 +43,19 @@ impl Estimate {
         Self::new(walk, states, corrections)
     }
 
+    /// The same with each frame moved in the world, as `there_from_here` has it.
+    pub fn moved(mut self, there_from_here: impl Fn(usize) -> Se3) -> Self {
+        for (frame, (state, motion)) in self.states.iter_mut().zip(&mut self.motions).enumerate() {
+            let moved = there_from_here(frame);
+            let nav = &mut state.nav;
+            nav.world_from_rig = moved * nav.world_from_rig;
+            nav.velocity_m_s = moved.rotation * nav.velocity_m_s;
+            motion.velocity_m_s = moved.rotation * motion.velocity_m_s;
+            motion.acceleration_m_s2 = moved.rotation * motion.acceleration_m_s2;
+        }
+        self
+    }
+
     /// Pose of the rig at the stamp of a frame.
     pub fn pose(&self, frame: usize) -> &Se3 {
         &self.states[frame].nav.world_from_rig

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
+use super::in_view::{InView, Search};
 use super::walk::Walk;
 use crate::frames::FeatureFrame;
 use crate::localization::{Localizer, PlacedFrame, find_elsewhere};
@@ -23,6 +24,12 @@ pub struct OtherPlace {
     pub matches_here: u64,
     /// The same if all of them were there.
     pub matches_there: u64,
+    /// Share of what points that should be in view if all of the walk were there say that is that they are not there.
+    pub absent_share_there: f64,
+    /// Whether so much would be absent there that it is not this place.
+    pub is_excluded: bool,
+    /// Whether enough should be in view there to tell, and is.
+    pub is_seen: bool,
 }
 
 impl OtherPlace {
@@ -30,33 +37,78 @@ impl OtherPlace {
     pub fn margin(&self) -> f64 {
         self.matches_here as f64 / self.matches_there.max(1) as f64
     }
+
+    /// Whether the walk may be there as well, if so many times as much must be found here.
+    pub fn is_possible(&self, margin: f64) -> bool {
+        !self.is_excluded && self.margin() < margin
+    }
 }
 
-/// Looks for it; `None` where the walk is found nowhere else. `frames` are those of the walk, with their features.
-pub(super) fn other_place(
-    localizer: &Localizer,
-    rig: &Rig,
-    frames: &[FeatureFrame],
-    walk: &Walk,
-    estimate: &Estimate,
-    config: &GroundTruthConfig,
-) -> Option<OtherPlace> {
-    let placed: Vec<PlacedFrame> = (0..walk.frames.len())
-        .filter(|k| walk.frames[*k].fixed.len() >= config.min_map_points)
-        .map(|k| PlacedFrame {
-            features: &frames[k].features,
-            world_from_rig: *estimate.pose(k),
-        })
-        .collect();
-    let step = placed.len().div_ceil(INSTANTS).max(1);
-    let chosen: Vec<PlacedFrame> = placed.into_iter().step_by(step).collect();
-    let middle = chosen.get(chosen.len() / 2)?.world_from_rig;
-    let found = find_elsewhere(localizer, rig, &chosen)?;
-    let off = middle.inverse() * (found.there_from_here * middle);
-    Some(OtherPlace {
-        away_m: off.translation.norm(),
-        turn_deg: off.rotation.angle().to_degrees(),
-        matches_here: found.matches_here as u64,
-        matches_there: found.matches_there as u64,
-    })
+/// A solved walk with the features of its frames.
+pub(super) struct Placed<'a> {
+    pub rig: &'a Rig,
+    pub walk: &'a Walk,
+    pub estimate: &'a Estimate,
+    pub frames: &'a [FeatureFrame],
+    pub search: &'a Search<'a>,
+    /// What should be in view where the walk is said to be.
+    pub here: &'a InView,
+}
+
+impl Placed<'_> {
+    /// The next best place, and the walk there; `None` where it is found nowhere else.
+    pub fn other_place(
+        &self,
+        localizer: &Localizer,
+        config: &GroundTruthConfig,
+    ) -> Option<(OtherPlace, Estimate)> {
+        let (walk, estimate) = (self.walk, self.estimate);
+        let placed: Vec<usize> = (0..walk.frames.len())
+            .filter(|k| walk.frames[*k].fixed.len() >= config.min_map_points)
+            .collect();
+        let step = placed.len().div_ceil(INSTANTS).max(1);
+        let chosen: Vec<usize> = placed.into_iter().step_by(step).collect();
+        let instants = chosen.iter().map(|k| PlacedFrame {
+            features: &self.frames[*k].features,
+            world_from_rig: *estimate.pose(*k),
+        });
+        let instants: Vec<PlacedFrame> = instants.collect();
+        let middle = instants.get(instants.len() / 2)?.world_from_rig;
+        let found = find_elsewhere(localizer, self.rig, &instants);
+        let places = found.into_iter().map(|elsewhere| {
+            // A frame moves as the instant that is nearest to it.
+            let moved = estimate.clone().moved(|frame| {
+                let after = chosen.partition_point(|k| *k < frame);
+                let nearest = [after.saturating_sub(1), after.min(chosen.len() - 1)]
+                    .into_iter()
+                    .min_by_key(|n| chosen[*n].abs_diff(frame));
+                let n = nearest.unwrap_or(0);
+                elsewhere.poses[n] * instants[n].world_from_rig.inverse()
+            });
+            let there = InView::of_walk(&self.search.judge(&moved));
+            let off = middle.inverse() * (elsewhere.there_from_here * middle);
+            let place = OtherPlace {
+                away_m: off.translation.norm(),
+                turn_deg: off.rotation.angle().to_degrees(),
+                matches_here: elsewhere.matches_here as u64,
+                matches_there: elsewhere.matches_there as u64,
+                absent_share_there: there.absent_share(),
+                is_excluded: is_excluded(&there, self.here, config),
+                is_seen: there.is_judged() && !there.is_doubtful(config),
+            };
+            (place, moved)
+        });
+        // The first of equals is that with most matches.
+        places
+            .rev()
+            .max_by_key(|(place, _)| (!place.is_excluded, place.matches_there))
+    }
+}
+
+/// How many times as much must be absent at another place as where the walk is said to be.
+const CLEARLY: f64 = 2.0;
+
+/// Whether what should be in view at another place speaks against it.
+fn is_excluded(there: &InView, here: &InView, config: &GroundTruthConfig) -> bool {
+    there.is_doubtful(config) && there.absent_share() > CLEARLY * here.absent_share()
 }

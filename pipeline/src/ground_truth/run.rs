@@ -1,20 +1,23 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use lsfb_geometry::Trajectory;
+use lsfb_geometry::{Se3, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
+use rayon::prelude::*;
 
 use super::accel_axes::misread_axis;
 use super::cross_check::check_halves;
 use super::dense::dense_states;
+use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
-use super::in_view::{InView, look_for_points};
+use super::in_view::{InView, Search};
 use super::map_agreement::MapAgreement;
-use super::other_place::other_place;
+use super::other_place::Placed;
 use super::recorded_walk::RecordedWalk;
 use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
@@ -31,7 +34,7 @@ use crate::features::Feature;
 use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
 use crate::kept_stages::KeptStages;
-use crate::localization::{Localization, Localizer, localize_frames_apart};
+use crate::localization::{Localization, Localizer, localize_frames_apart, localize_near};
 use crate::residuals::MovingCamera;
 
 /// Refuses maps in which no walk is to be solved: those that failed when they were made, and those of other features.
@@ -96,101 +99,190 @@ fn solve_in_map(
     stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
-    let RecordedWalk {
-        path, rig, read, ..
-    } = recorded;
+    let RecordedWalk { rig, read, .. } = recorded;
     let localizer = Localizer::new(map, &config.localization)?;
     let apart_secs = config.localize_every_secs;
     let looked_up =
         localize_frames_apart(&localizer, &read.frames, rig, apart_secs, stages, progress)?;
     let was_looked_up: Vec<bool> = looked_up.iter().map(Option::is_some).collect();
-    let tried = |range: Range<usize>| was_looked_up[range].iter().filter(|is| **is).count();
     let localized: Vec<Option<Localization>> =
         looked_up.into_iter().map(|found| found?.ok()).collect();
-    let count = localized.iter().flatten().count();
-    if count < config.min_localized_frames {
-        return Err(Error::NotLocalized {
-            path: path.clone(),
-            frames: tried(0..read.frames.len()),
-            localized: count,
-            needed: config.min_localized_frames,
-        });
-    }
-
-    let range = frames_in_reach(&read.frames, &localized, config);
-    let mut features = Vec::new();
-    let mut frames = Vec::new();
-    for k in range.clone() {
-        frames.push(frame_of(&read.frames[k], localized[k].as_ref(), map));
-        features.extend(read.frames[k].features.iter().map(|f| f.features.clone()));
-    }
-    let seen = frames.iter().flat_map(|f: &Frame| &f.recognised);
-    let stated = seen.filter_map(|s| Some((s.point, map.quality(s.point)?.covariance_m2)));
-    let point_covariances_m2 = Arc::new(stated.collect());
-    let mut walk = Walk {
-        cameras: rig.cameras.values().map(MovingCamera::new).collect(),
-        frames,
-        imu: recorded.imu.clone(),
-        noise: config.inflated(&recorded.noise),
-        noise_factors: Default::default(),
-        point_covariances_m2,
-    };
-    let start = start_states(&walk, config, progress)?;
-    let start = accepted(start, count, path, config).map_err(|error| match error {
-        Error::MapDisagrees { .. } => match misread_axis(&walk) {
-            Some(misread) => misread.refusal(path),
-            None => error,
-        },
-        other => other,
-    })?;
-    let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
-    let (estimate, points) = (&solved.last.estimate, &solved.last.points);
-    let used = &solved.config;
-    let (imu, agreement) = if walk.has_imu() {
-        let imu = ImuRefinement::of(&walk, &solved.last, config)?;
-        walk.loosen_imu(imu.noise_factor());
-        let agreement = MapAgreement::of(&walk, &solved.last, used)?;
-        (Some(imu), Some(agreement))
-    } else {
-        (None, None)
-    };
-    let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
-
-    let in_view = look_for_points(&walk, estimate, points, &features, map, config);
-    let halves = check_halves(&walk, estimate, points, used, progress)?;
-    let with_shared = uncertainty.poses.iter().zip(&halves);
-    let with_shared = with_shared.map(|(pose, halves)| pose.map(|own| own + halves.shared));
-    let covariances: Vec<_> = with_shared.collect();
-    let disagreements_m: Vec<f64> = halves.iter().map(|h| h.disagreement_m).collect();
-    let trusted = trusted(
-        &walk,
-        &Solution {
-            states: &estimate.states,
-            accepted: &start.accepted,
-            covariances: &covariances,
-            disagreements_m: &disagreements_m,
-            in_view: &in_view,
-        },
+    let attempt = Attempt {
+        recorded,
+        localizer: &localizer,
+        was_looked_up: &was_looked_up,
         config,
-    );
-    let whole = InView::of_walk(&in_view);
-    let judged = Judged {
-        path,
-        walk: &walk,
-        looked_up: tried(range.clone()),
-        start: &start,
-        imu: imu.as_ref(),
-        trusted: &trusted,
-        in_view: &whole,
-        disagreements_m: &disagreements_m,
+        progress,
     };
-    if let Some(refusal) = judged.refusal(config) {
-        return Err(refusal);
+    let first = match attempt.solve(&localized, Elsewhere::IsTried) {
+        Ok(solved) => return Ok(solved),
+        Err(refused) => refused,
+    };
+    let Some(poses) = &first.elsewhere else {
+        return Err(first.error);
+    };
+    let frames = read.frames.par_iter().zip(&was_looked_up).enumerate();
+    let localized: Vec<Option<Localization>> = frames
+        .map(|(k, (frame, is_wanted))| {
+            let near = poses.get(&k).filter(|_| *is_wanted)?;
+            localize_near(&localizer, rig, &frame.features, near)
+        })
+        .collect();
+    let second = attempt.solve(&localized, Elsewhere::IsRefused);
+    second.map_err(|refused| match refused.error {
+        stopped @ Error::Stopped(_) => stopped,
+        // It is not there either: what speaks against the place where most of it was found stands.
+        _ => first.error,
+    })
+}
+
+/// A walk that is refused, and by frame where else it is, if that is where what should be in view is seen.
+struct Refused {
+    error: Error,
+    elsewhere: Option<BTreeMap<usize, Se3>>,
+}
+
+impl<E: Into<Error>> From<E> for Refused {
+    fn from(error: E) -> Self {
+        Self {
+            error: error.into(),
+            elsewhere: None,
+        }
     }
-    let seen = &read.frames[range.clone()];
-    let other_place = other_place(&localizer, rig, seen, &walk, estimate, config);
-    if let Some(other) = other_place.filter(|other| other.margin() < config.min_place_margin) {
-        return Err(Error::LooksAlike {
+}
+
+/// What becomes of a walk that may be elsewhere.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Elsewhere {
+    IsTried,
+    IsRefused,
+}
+
+/// What a walk is solved with, wherever its images were found.
+struct Attempt<'a> {
+    recorded: &'a RecordedWalk,
+    localizer: &'a Localizer,
+    was_looked_up: &'a [bool],
+    config: &'a GroundTruthConfig,
+    progress: ProgressFn<'a>,
+}
+
+impl Attempt<'_> {
+    fn solve(
+        &self,
+        localized: &[Option<Localization>],
+        elsewhere: Elsewhere,
+    ) -> Result<GroundTruth, Refused> {
+        let Self {
+            recorded,
+            localizer,
+            config,
+            progress,
+            ..
+        } = *self;
+        let RecordedWalk {
+            path, rig, read, ..
+        } = recorded;
+        let map = localizer.map();
+        let tried =
+            |range: Range<usize>| self.was_looked_up[range].iter().filter(|is| **is).count();
+        let count = localized.iter().flatten().count();
+        if count < config.min_localized_frames {
+            return Err(Error::NotLocalized {
+                path: path.clone(),
+                frames: tried(0..read.frames.len()),
+                localized: count,
+                needed: config.min_localized_frames,
+            }
+            .into());
+        }
+
+        let range = frames_in_reach(&read.frames, localized, config);
+        let mut features = Vec::new();
+        let mut frames = Vec::new();
+        for k in range.clone() {
+            frames.push(frame_of(&read.frames[k], localized[k].as_ref(), map));
+            features.extend(read.frames[k].features.iter().map(|f| f.features.clone()));
+        }
+        let seen = frames.iter().flat_map(|f: &Frame| &f.recognised);
+        let stated = seen.filter_map(|s| Some((s.point, map.quality(s.point)?.covariance_m2)));
+        let point_covariances_m2 = Arc::new(stated.collect());
+        let mut walk = Walk {
+            cameras: rig.cameras.values().map(MovingCamera::new).collect(),
+            frames,
+            imu: recorded.imu.clone(),
+            noise: config.inflated(&recorded.noise),
+            noise_factors: Default::default(),
+            point_covariances_m2,
+        };
+        let start = start_states(&walk, config, progress)?;
+        let start = accepted(start, count, path, config).map_err(|error| match error {
+            Error::MapDisagrees { .. } => match misread_axis(&walk) {
+                Some(misread) => misread.refusal(path),
+                None => error,
+            },
+            other => other,
+        })?;
+        let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
+        let (estimate, points) = (&solved.last.estimate, &solved.last.points);
+        let used = &solved.config;
+        let (imu, agreement) = if walk.has_imu() {
+            let imu = ImuRefinement::of(&walk, &solved.last, config)?;
+            walk.loosen_imu(imu.noise_factor());
+            let agreement = MapAgreement::of(&walk, &solved.last, used)?;
+            (Some(imu), Some(agreement))
+        } else {
+            (None, None)
+        };
+        let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
+
+        let search = Search::new(&walk, (estimate, points), &features, map, config);
+        let in_view = search.judge(estimate);
+        let halves = check_halves(&walk, estimate, points, used, progress)?;
+        let with_shared = uncertainty.poses.iter().zip(&halves);
+        let with_shared = with_shared.map(|(pose, halves)| pose.map(|own| own + halves.shared));
+        let covariances: Vec<_> = with_shared.collect();
+        let disagreements_m: Vec<f64> = halves.iter().map(|h| h.disagreement_m).collect();
+        let trusted = trusted(
+            &walk,
+            &Solution {
+                states: &estimate.states,
+                accepted: &start.accepted,
+                covariances: &covariances,
+                disagreements_m: &disagreements_m,
+                in_view: &in_view,
+            },
+            config,
+        );
+        let whole = InView::of_walk(&in_view);
+        let judged = Judged {
+            path,
+            walk: &walk,
+            looked_up: tried(range.clone()),
+            start: &start,
+            imu: imu.as_ref(),
+            trusted: &trusted,
+            in_view: &whole,
+            disagreements_m: &disagreements_m,
+        };
+        let refusal = judged.refusal(config);
+        let seen = &read.frames[range.clone()];
+        let placed = Placed {
+            rig,
+            walk: &walk,
+            estimate,
+            frames: seen,
+            search: &search,
+            here: &whole,
+        };
+        let is_elsewhere = elsewhere == Elsewhere::IsTried && whole.is_doubtful(config);
+        let found = match refusal.is_none() || is_elsewhere {
+            true => placed.other_place(localizer, config),
+            false => None,
+        };
+        let other_place = found.as_ref().map(|(other, _)| *other);
+        let alike = other_place.filter(|other| other.is_possible(config.min_place_margin));
+        let alike = alike.map(|other| Error::LooksAlike {
             path: path.clone(),
             matches_here: other.matches_here,
             matches_there: other.matches_there,
@@ -198,49 +290,61 @@ fn solve_in_map(
             turn_deg: other.turn_deg,
             margin: config.min_place_margin,
         });
+        if let Some(error) = refusal.or(alike) {
+            let there = found.filter(|(other, _)| is_elsewhere && other.is_seen);
+            let poses = |(_, moved): (_, Estimate)| {
+                (0..range.len())
+                    .map(|k| (range.start + k, *moved.pose(k)))
+                    .collect()
+            };
+            return Err(Refused {
+                error,
+                elsewhere: there.map(poses),
+            });
+        }
+        let trajectory = Trajectory::new(trusted.poses.clone());
+        let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+        (report.imu, report.map) = (imu, agreement);
+        let names = rig.cameras.keys().map(String::as_str);
+        report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
+        report.frames = read.frames.len() as u64;
+        report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
+        report.looked_up = tried(0..read.frames.len()) as u64;
+        report.localized = count as u64;
+        report.other_place = other_place;
+        report.rejected_localizations = (count - start.accepted_count) as u64;
+        report.rival_localizations = start.rival_count as u64;
+        report.max_disagreement_m = config.max_disagreement_m;
+        report.max_absent_share = config.max_absent_share;
+        (report.points_in_view, report.absent_share) = (whole.points as u64, whole.absent_share());
+        report.place_checked = whole.is_judged();
+        report.left_out.extend(out_of_reach(&read.frames, &range));
+        report.left_out.sort_by_key(|span| span.from_ns);
+        report.warnings = warnings(
+            &report,
+            read,
+            recorded.frozen,
+            (recorded.damaged_samples, recorded.frozen_secs),
+        );
+        let in_rig = rig.imu_noise().is_some();
+        let without_imu = (!walk.has_imu()).then_some(GroundTruthWarning::WithoutImu { in_rig });
+        report.warnings.extend(without_imu);
+        report.warnings.extend(solved.unrest.clone());
+        report.warnings.extend(not_checked(&walk, &in_view));
+        let failures = map.failures().iter();
+        report
+            .warnings
+            .extend(failures.map(|what| GroundTruthWarning::FailedMap { what: what.clone() }));
+        Ok(GroundTruth {
+            trajectory,
+            covariances: trusted.covariances,
+            disagreements_m: trusted.disagreements_m,
+            states: dense_states(&walk, &solved.last, &trusted.frames)?,
+            gravity_m_s2: solved.last.gravity_m_s2,
+            localizations: start.localizations(&walk),
+            report,
+        })
     }
-    let trajectory = Trajectory::new(trusted.poses.clone());
-    let mut report = report(&walk, &solved, &trusted, &trajectory)?;
-    (report.imu, report.map) = (imu, agreement);
-    let names = rig.cameras.keys().map(String::as_str);
-    report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
-    report.frames = read.frames.len() as u64;
-    report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
-    report.looked_up = tried(0..read.frames.len()) as u64;
-    report.localized = count as u64;
-    report.other_place = other_place;
-    report.rejected_localizations = (count - start.accepted_count) as u64;
-    report.rival_localizations = start.rival_count as u64;
-    report.max_disagreement_m = config.max_disagreement_m;
-    report.max_absent_share = config.max_absent_share;
-    (report.points_in_view, report.absent_share) = (whole.points as u64, whole.absent_share());
-    report.place_checked = whole.is_judged();
-    report.left_out.extend(out_of_reach(&read.frames, &range));
-    report.left_out.sort_by_key(|span| span.from_ns);
-    report.warnings = warnings(
-        &report,
-        read,
-        recorded.frozen,
-        (recorded.damaged_samples, recorded.frozen_secs),
-    );
-    let in_rig = rig.imu_noise().is_some();
-    let without_imu = (!walk.has_imu()).then_some(GroundTruthWarning::WithoutImu { in_rig });
-    report.warnings.extend(without_imu);
-    report.warnings.extend(solved.unrest.clone());
-    report.warnings.extend(not_checked(&walk, &in_view));
-    let failures = map.failures().iter();
-    report
-        .warnings
-        .extend(failures.map(|what| GroundTruthWarning::FailedMap { what: what.clone() }));
-    Ok(GroundTruth {
-        trajectory,
-        covariances: trusted.covariances,
-        disagreements_m: trusted.disagreements_m,
-        states: dense_states(&walk, &solved.last, &trusted.frames)?,
-        gravity_m_s2: solved.last.gravity_m_s2,
-        localizations: start.localizations(&walk),
-        report,
-    })
 }
 
 /// The start, where enough agrees with it and not half as much with another.

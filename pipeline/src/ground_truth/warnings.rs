@@ -51,7 +51,7 @@ pub(super) fn warnings(
     }
     let alike = report
         .other_place
-        .filter(|other| other.margin() < UNMISTAKABLE);
+        .filter(|other| other.is_possible(UNMISTAKABLE));
     warnings.extend(alike.map(|other| GroundTruthWarning::LooksAlike { other }));
     let some = |count: u64| (count > 0).then_some(count);
     let counted = [

@@ -1,17 +1,21 @@
 //! Whether a walk fits the map as well somewhere else.
 //!
 //! A corridor with the same doors and lamps from either end is found at one end in every image alike, and no image says so: those that are nearer to
-//! the map's are found there, whether they were taken there or not. So images of the walk are looked for where they are not said to be, among
-//! the map's images that see something else; what several of them find by the same move of the whole walk is its next best place. There as
-//! here, points of the map's images around are looked for where each pose has them: how many are found tells the two apart, or does not.
+//! the map's are found there, whether they were taken there or not. So images of the walk are looked for where they are not said to be: what
+//! fits where they are said to be is taken out of what each feature may show, and of what is left the best places are tried. What several images
+//! find by the same move of the whole walk is another place of it, the next of several doors or the other end. A pose that explains the same features by the
+//! same points is none: it is the same place, badly seen.
+
+use std::collections::BTreeMap;
 
 use lsfb_geometry::{Rig, Se3, Vector3};
 use rayon::prelude::*;
 
-use super::guided_matching::Query;
-use super::localizer::{Localizer, contradict};
+use super::guided_matching::{GuidedPose, Query};
+use super::localizer::{Found, Localizer, contradict};
 use super::matches::MountedCamera;
-use super::voting::{Candidates, Vote};
+use super::outcome::{FeatureMatch, Localization};
+use super::voting::Candidates;
 use crate::features::FrameFeatures;
 
 /// Images of one instant of a walk, and where its rig is said to be.
@@ -21,10 +25,12 @@ pub(crate) struct PlacedFrame<'a> {
 }
 
 /// Where else a walk may be.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Elsewhere {
     /// From where the walk is said to be to there.
     pub there_from_here: Se3,
+    /// Poses of the instants there, as each of them fits best.
+    pub poses: Vec<Se3>,
     /// Points that are found where the poses have them, in all images together, and if all poses were moved there.
     pub matches_here: usize,
     pub matches_there: usize,
@@ -32,8 +38,10 @@ pub(crate) struct Elsewhere {
 
 /// Places in which an image is looked for elsewhere, those with most votes.
 const PLACES: usize = 6;
-/// A map image that has this share of its points in common with those around a pose shows the same.
-const SAME_VIEW_SHARE: f64 = 0.5;
+/// What a feature may show fits a pose when it is seen no farther from there, in units of the radius of guided matching.
+const FITS_RADII: f64 = 2.0;
+/// Points no farther apart are on the same thing, metres.
+const SAME_THING_M: f64 = 0.2;
 /// A pose elsewhere counts from so many matches on.
 const FEWEST_MATCHES: usize = 8;
 /// A move of the walk must come of so many of its images, and so many moves, those that come of most, are tried.
@@ -42,25 +50,26 @@ const MOVES: usize = 3;
 /// Of two images of the map the nearer one; where they look in opposite directions that counts as so many metres, twice.
 const DIRECTION_M: f64 = 4.0;
 
-/// The next best place of a walk; `None` where its images are found nowhere else.
+/// Other places of a walk, those where most of it is found first; none where its images are found nowhere else.
 pub(crate) fn find_elsewhere(
     localizer: &Localizer,
     rig: &Rig,
     frames: &[PlacedFrame],
-) -> Option<Elsewhere> {
-    let found: Vec<Vec<Se3>> = frames
+) -> Vec<Elsewhere> {
+    let found: Vec<(usize, Vec<Se3>)> = frames
         .par_iter()
         .map(|frame| poses_elsewhere(localizer, rig, frame))
         .collect();
+    let matches_here = found.iter().map(|(here, _)| here).sum();
     let moved =
         |frame: &PlacedFrame, there_from_here: &Se3| *there_from_here * frame.world_from_rig;
     let near = |k: usize, there_from_here: &Se3| {
         let expected = moved(&frames[k], there_from_here);
-        let mut poses = found[k].iter();
+        let mut poses = found[k].1.iter();
         poses.find(|pose| !contradict(pose, &expected)).copied()
     };
     let moves = frames.iter().zip(&found);
-    let moves = moves.flat_map(|(frame, poses)| {
+    let moves = moves.flat_map(|(frame, (_, poses))| {
         let here = frame.world_from_rig.inverse();
         poses.iter().map(move |pose| *pose * here)
     });
@@ -76,36 +85,40 @@ pub(crate) fn find_elsewhere(
     agreeing.retain(|(agree, _)| *agree >= FEWEST_FRAMES);
     let mut tried: Vec<Se3> = Vec::new();
     for (_, there_from_here) in agreeing {
-        let middle = frames.get(frames.len() / 2)?;
+        let Some(middle) = frames.get(frames.len() / 2) else {
+            break;
+        };
         let is_new = |t: &Se3| contradict(&moved(middle, t), &moved(middle, &there_from_here));
         if tried.len() < MOVES && tried.iter().all(is_new) {
             tried.push(there_from_here);
         }
     }
-    let matches = |pose_of: &(dyn Fn(usize) -> Se3 + Sync)| -> usize {
-        let each = (0..frames.len()).into_par_iter();
-        each.map(|k| matches_at(localizer, rig, frames[k].features, &pose_of(k)))
-            .sum()
-    };
-    let there = tried.iter().map(|there_from_here| {
-        let pose = |k: usize| {
-            let expected = moved(&frames[k], there_from_here);
-            near(k, there_from_here).unwrap_or(expected)
-        };
-        (matches(&pose), *there_from_here)
+    let there = tried.into_iter().map(|there_from_here| {
+        let each = frames.par_iter().enumerate().map(|(k, frame)| {
+            let expected = moved(frame, &there_from_here);
+            let start = near(k, &there_from_here).unwrap_or(expected);
+            match pose_near(localizer, rig, frame.features, &start) {
+                Some(found) => (found.world_from_rig, found.matches.len()),
+                None => (start, 0),
+            }
+        });
+        let (poses, matches): (Vec<Se3>, Vec<usize>) = each.collect();
+        Elsewhere {
+            there_from_here,
+            poses,
+            matches_here,
+            matches_there: matches.iter().sum(),
+        }
     });
-    let (matches_there, there_from_here) = there.rev().max_by_key(|(matches, _)| *matches)?;
-    Some(Elsewhere {
-        there_from_here,
-        matches_here: matches(&|k| frames[k].world_from_rig),
-        matches_there,
-    })
+    let mut there: Vec<Elsewhere> = there.collect();
+    there.sort_by_key(|there| std::cmp::Reverse(there.matches_there));
+    there
 }
 
-/// Poses of an instant that contradict the one it is said to have, best votes first.
-fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec<Se3> {
+/// How many points an instant shows where it is said to be, and poses of it that contradict that one, best votes first.
+fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (usize, Vec<Se3>) {
     let Ok(cameras) = localizer.mount(frame.features, rig) else {
-        return Vec::new();
+        return (0, Vec::new());
     };
     let grids = localizer.grids(frame.features, &cameras);
     let query = Query {
@@ -114,19 +127,32 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec
         grids: &grids,
         cameras: &cameras,
     };
+    let here = &frame.world_from_rig;
+    let found_here = pose_near(localizer, rig, frame.features, here);
+    let matches_here = found_here.map_or_else(Vec::new, |found| found.matches);
+    let shown_here: BTreeMap<(usize, u32), u32> = matches_here
+        .iter()
+        .map(|m| ((m.frame, m.keypoint), m.point))
+        .collect();
+    let is_same_thing = |m: &&FeatureMatch| {
+        let here = shown_here.get(&(m.frame, m.keypoint));
+        let position = |point: u32| localizer.map().position(point);
+        let both = here.and_then(|here| Some((position(*here)?, position(m.point)?)));
+        both.is_some_and(|(here, there)| (here - there).norm() <= SAME_THING_M)
+    };
+    let shows_the_same = |pose: &GuidedPose| {
+        let matches = || pose.matches.iter();
+        let in_both = |m: &&FeatureMatch| shown_here.contains_key(&(m.frame, m.keypoint));
+        2 * matches().filter(is_same_thing).count() > matches().filter(in_both).count()
+    };
     let candidates: Vec<Vec<Candidates>> = frame
         .features
         .iter()
-        .map(|frame| localizer.look_up(frame))
+        .zip(&cameras)
+        .map(|(features, camera)| what_does_not_fit(localizer, features, camera, here))
         .collect();
     let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
     let places = &localizer.places;
-    let here = points_around(localizer, &cameras, &frame.world_from_rig);
-    let shows_the_same = |vote: &Vote| {
-        let points = places.points_in(vote.image);
-        let shared = points.iter().filter(|p| here.binary_search(p).is_ok());
-        shared.count() as f64 >= SAME_VIEW_SHARE * points.len() as f64
-    };
     let mut poses: Vec<Se3> = Vec::new();
     let mut tried: Vec<u32> = Vec::new();
     let mut places_tried = 0;
@@ -134,31 +160,55 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> Vec
         if places_tried == PLACES {
             break;
         }
-        if tried.contains(&vote.image) || shows_the_same(&vote) {
+        if tried.contains(&vote.image) {
             continue;
         }
         places_tried += 1;
         let place = places.neighbourhood(vote.image, localizer.config.place_images);
         let points = places.points_of(&place);
         tried.extend(&place);
-        let found = localizer.pose_at(&query, points, &candidates, &vote);
-        let found = found.filter(|found| found.pose.matches.len() >= FEWEST_MATCHES);
-        let found = found.map(|found| found.pose.world_from_rig);
-        poses.extend(found.filter(|pose| contradict(pose, &frame.world_from_rig)));
+        let found = localizer.pose_at(&query, points, &candidates, vote.votes);
+        let found = found.map(|found| found.pose);
+        let found = found.filter(|pose| {
+            pose.matches.len() >= FEWEST_MATCHES
+                && contradict(&pose.world_from_rig, here)
+                && !shows_the_same(pose)
+        });
+        poses.extend(found.map(|pose| pose.world_from_rig));
     }
-    poses
+    (matches_here.len(), poses)
 }
 
-/// Points of the map's images around that the images of an instant show where this pose has them.
-fn matches_at(
+/// Points that each feature of an image may show but those that it shows where the rig is said to be.
+fn what_does_not_fit(
+    localizer: &Localizer,
+    features: &FrameFeatures,
+    mounted: &MountedCamera,
+    world_from_rig: &Se3,
+) -> Vec<Candidates> {
+    let camera_from_world = (*world_from_rig * mounted.rig_from_camera).inverse();
+    let radius_px = FITS_RADII * localizer.config.projection_radius_px;
+    let keypoints = features.features.keypoints.iter();
+    let mut candidates = localizer.look_up(features);
+    for (candidates, keypoint) in candidates.iter_mut().zip(keypoints) {
+        let fits = |point: u32| {
+            let position = localizer.map().position(point);
+            let pixel = position.and_then(|p| mounted.camera.project(&(camera_from_world * p)));
+            pixel.is_some_and(|pixel| (pixel - keypoint.pixel_f64()).norm() <= radius_px)
+        };
+        candidates.retain(|candidate| !fits(candidate.point));
+    }
+    candidates
+}
+
+/// The pose near `world_from_rig` at which most points of the map's images around are found in the images of an instant.
+fn pose_near(
     localizer: &Localizer,
     rig: &Rig,
     features: &[FrameFeatures],
     world_from_rig: &Se3,
-) -> usize {
-    let Ok(cameras) = localizer.mount(features, rig) else {
-        return 0;
-    };
+) -> Option<GuidedPose> {
+    let cameras = localizer.mount(features, rig).ok()?;
     let grids = localizer.grids(features, &cameras);
     let query = Query {
         map: localizer.map(),
@@ -168,8 +218,36 @@ fn matches_at(
     };
     let points = points_around(localizer, &cameras, world_from_rig);
     let found = query.guided_pose(&points, world_from_rig, &localizer.guided());
-    let found = found.filter(|found| !contradict(&found.world_from_rig, world_from_rig));
-    found.map_or(0, |found| found.matches.len())
+    found.filter(|found| !contradict(&found.world_from_rig, world_from_rig))
+}
+
+/// The pose of an instant near one, by the map's images around there alone; `None` where it does not fit there.
+pub(crate) fn localize_near(
+    localizer: &Localizer,
+    rig: &Rig,
+    features: &[FrameFeatures],
+    near: &Se3,
+) -> Option<Localization> {
+    let cameras = localizer.mount(features, rig).ok()?;
+    let grids = localizer.grids(features, &cameras);
+    let query = Query {
+        map: localizer.map(),
+        frames: features,
+        grids: &grids,
+        cameras: &cameras,
+    };
+    let candidates: Vec<Vec<Candidates>> = features.iter().map(|f| localizer.look_up(f)).collect();
+    let points = points_around(localizer, &cameras, near);
+    let hypothesis = localizer.pose_at(&query, points, &candidates, 0)?;
+    let found = Found {
+        hypothesis,
+        places: 1,
+        rival_inliers: 0,
+    };
+    let found = localizer.judge(found, &query)?;
+    let is_found = found.probability >= localizer.min_probability()
+        && !contradict(&found.world_from_rig, near);
+    is_found.then_some(found)
 }
 
 /// Points of the map's images that look most as the cameras of a rig do, ascending.

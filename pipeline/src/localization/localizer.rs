@@ -176,7 +176,7 @@ impl Localizer {
             let place = self.places.neighbourhood(vote.image, place_images);
             let points = self.places.points_of(&place);
             tried.extend(&place);
-            hypotheses.extend(self.pose_at(seen.query, points, seen.candidates, vote));
+            hypotheses.extend(self.pose_at(seen.query, points, seen.candidates, vote.votes));
         }
         // By what no pose searched for; the first of equals is that of the place with most votes.
         let unlikely_by_chance = |i: &usize| -hypotheses[*i].agreement.log10_false_alarms(places);
@@ -287,7 +287,7 @@ impl Localizer {
         query: &Query,
         points: Vec<u32>,
         candidates: &[Vec<Candidates>],
-        vote: &Vote,
+        votes: u32,
     ) -> Option<Hypothesis> {
         let mut pairs: Vec<FeatureMatch> = Vec::new();
         let mut distances: Vec<u32> = Vec::new();
@@ -317,7 +317,7 @@ impl Localizer {
             first,
             points,
             pose,
-            votes: vote.votes,
+            votes,
         })
     }
 }

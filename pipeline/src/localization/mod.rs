@@ -32,7 +32,7 @@ pub use acceptance::Evidence;
 pub use config::LocalizerConfig;
 #[cfg(test)]
 pub(crate) use elsewhere::Elsewhere;
-pub(crate) use elsewhere::{PlacedFrame, find_elsewhere};
+pub(crate) use elsewhere::{PlacedFrame, find_elsewhere, localize_near};
 pub use joint_focal_length::{JointFocalLength, JointVerdict};
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};

@@ -117,11 +117,6 @@ impl Places {
         order
     }
 
-    /// Points that an image sees, ascending.
-    pub fn points_in(&self, image: u32) -> &[u32] {
-        &self.points[image as usize]
-    }
-
     /// Points that any of these images sees, ascending.
     pub fn points_of(&self, images: &[u32]) -> Vec<u32> {
         let mut points: Vec<u32> = images

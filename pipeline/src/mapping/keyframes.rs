@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
+use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
@@ -50,14 +50,23 @@ impl Keyframes {
 
     /// Distance of a point from the nearest camera that sees it, metres.
     pub(super) fn nearest_camera_m(&self, rig: &Rig, point: &MapPoint) -> f64 {
-        let distances = point.observations.iter().filter_map(|o| {
+        let cameras = self.cameras_of(rig, point);
+        let distances = cameras.map(|camera| (camera - point.point_in_world).norm());
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Where the cameras that see a point are, in the world.
+    pub(super) fn cameras_of<'a>(
+        &'a self,
+        rig: &'a Rig,
+        point: &'a MapPoint,
+    ) -> impl Iterator<Item = Vector3<f64>> + 'a {
+        point.observations.iter().filter_map(|o| {
             let image = self.images.get(o.image)?;
             let mounted = rig.cameras.get(&image.camera)?;
             let world_from_rig = self.frames.get(image.keyframe)?.world_from_rig;
-            let camera = world_from_rig * mounted.rig_from_camera.translation;
-            Some((camera - point.point_in_world).norm())
-        });
-        distances.fold(f64::INFINITY, f64::min)
+            Some(world_from_rig * mounted.rig_from_camera.translation)
+        })
     }
 
     /// Makes keyframes without images of those moments that no image is near to: their scans lead over the hole.

@@ -37,7 +37,7 @@ use crate::bending::bent;
 use crate::error::Error;
 use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
-use crate::features::triangulation::TriangulationConfig;
+use crate::features::triangulation::{TriangulationConfig, has_no_place};
 use crate::hd_map::{
     HdMap, MapContent, MapPoint, SiteFrame, expect_map, find_tracks, triangulate_tracks,
 };
@@ -629,7 +629,12 @@ fn optimise(
         };
         let solved;
         (solved, in_site) = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
-        drop_before_lenses(rig, keyframes, &mut points);
+        drop_misplaced(
+            rig,
+            keyframes,
+            &mut points,
+            &config.reconstruction.triangulation,
+        );
         let poses = keyframes.poses();
         if let (Some(hold), Some(in_site)) = (&mut hold, &in_site) {
             hold.centred_from_world = in_site.centred_from_world;
@@ -805,7 +810,7 @@ fn triangulate_round(
     };
     let poses = keyframes.poses();
     let mut points = triangulate_tracks(rig, &poses, &keyframes.images, tracks, &triangulation)?;
-    drop_before_lenses(rig, keyframes, &mut points);
+    drop_misplaced(rig, keyframes, &mut points, &triangulation);
     Ok(points)
 }
 
@@ -813,9 +818,18 @@ fn triangulate_round(
 /// its camera undetermined beside all others.
 const LEAST_DEPTH_M: f64 = 0.1;
 
-/// Takes out points before a lens.
-fn drop_before_lenses(rig: &Rig, keyframes: &Keyframes, points: &mut Vec<MapPoint>) {
-    points.retain(|point| keyframes.nearest_camera_m(rig, point) >= LEAST_DEPTH_M);
+/// Takes out points before a lens, and those so far away that they have no place.
+fn drop_misplaced(
+    rig: &Rig,
+    keyframes: &Keyframes,
+    points: &mut Vec<MapPoint>,
+    config: &TriangulationConfig,
+) {
+    points.retain(|point| {
+        let cameras = keyframes.cameras_of(rig, point);
+        keyframes.nearest_camera_m(rig, point) >= LEAST_DEPTH_M
+            && !has_no_place(&point.point_in_world, cameras, config)
+    });
 }
 
 /// The odometry's trajectory bent through the optimised keyframes.

@@ -609,7 +609,23 @@ fn what_stands_before_a_lens_is_no_point() {
     };
     // The cameras are at 0.1 and 1.1 m.
     let mut points = [1.15, 1.25, 3.0].map(point).to_vec();
-    drop_before_lenses(&rig(), &keyframes, &mut points);
-    let left: Vec<f64> = points.iter().map(|p| p.point_in_world.x).collect();
-    assert_eq!(left, [1.25, 3.0]);
+    // A metre apart, the cameras see what is 95 m away under 0.6°, and asked for is 1.5.
+    let beside = |y: f64| MapPoint {
+        point_in_world: Vector3::new(0.6, y, 0.1),
+        ..point(0.0)
+    };
+    points.extend([70.0, 95.0, 1e8].map(beside));
+    drop_misplaced(
+        &rig(),
+        &keyframes,
+        &mut points,
+        &TriangulationConfig::default(),
+    );
+    let left: Vec<f64> = points
+        .iter()
+        .map(|p| p.point_in_world.xy().norm())
+        .collect();
+    assert_eq!(left.len(), 3, "{left:?}");
+    assert_eq!(left[..2], [1.25, 3.0]);
+    assert!((left[2] - 70.0).abs() < 0.1, "{left:?}");
 }

@@ -123,40 +123,6 @@ impl InView {
     }
 }
 
-/// Looks for the points of the map that should be in view.
-pub(super) fn look_for_points(
-    walk: &Walk,
-    estimate: &Estimate,
-    points: &[LocalPoint],
-    features: &[Features],
-    map: &HdMap,
-    config: &GroundTruthConfig,
-) -> Vec<InView> {
-    let spans: Vec<(Range<usize>, Vec<usize>)> = spans(walk)
-        .into_iter()
-        .map(|frames| (frames.clone(), chosen_frames(walk, frames, config)))
-        .collect();
-    let chosen = spans.iter().flat_map(|(_, chosen)| chosen.iter().copied());
-    let search = Search {
-        walk,
-        estimate,
-        features,
-        map,
-        views: Views::of(map),
-        sights: Sights::of(walk, estimate, points, chosen),
-    };
-    spans
-        .into_iter()
-        .map(|(frames, chosen)| {
-            let looks: Vec<Look> = chosen
-                .into_par_iter()
-                .flat_map_iter(|k| search.frame(k))
-                .collect();
-            judged(frames, &looks, map)
-        })
-        .collect()
-}
-
 /// Stretches of equal length, about [`SPAN_SECS`] each.
 fn spans(walk: &Walk) -> Vec<Range<usize>> {
     let (Some(first), Some(last)) = (walk.frames.first(), walk.frames.last()) else {
@@ -208,31 +174,61 @@ struct Look {
     aside_rad: f64,
 }
 
-struct Search<'a> {
+/// Looks for the points of the map that should be in view, wherever a walk is said to be.
+pub(super) struct Search<'a> {
     walk: &'a Walk,
-    estimate: &'a Estimate,
     features: &'a [Features],
     map: &'a HdMap,
+    /// Stretches of the walk, and the frames of each that are looked at.
+    spans: Vec<(Range<usize>, Vec<usize>)>,
     views: Views<'a>,
     sights: Sights,
 }
 
-impl Search<'_> {
-    fn frame(&self, k: usize) -> Vec<Look> {
-        let cameras = 0..self.walk.cameras.len();
-        cameras.flat_map(|camera| self.image(k, camera)).collect()
+impl<'a> Search<'a> {
+    /// What the solved walk sees in front of points is as far away wherever it is.
+    pub fn new(
+        walk: &'a Walk,
+        (estimate, points): (&Estimate, &[LocalPoint]),
+        features: &'a [Features],
+        map: &'a HdMap,
+        config: &GroundTruthConfig,
+    ) -> Self {
+        let spans: Vec<(Range<usize>, Vec<usize>)> = spans(walk)
+            .into_iter()
+            .map(|frames| (frames.clone(), chosen_frames(walk, frames, config)))
+            .collect();
+        let chosen = spans.iter().flat_map(|(_, chosen)| chosen.iter().copied());
+        Self {
+            walk,
+            features,
+            map,
+            views: Views::of(map),
+            sights: Sights::of(walk, estimate, points, chosen),
+            spans,
+        }
     }
 
-    fn image(&self, k: usize, camera: usize) -> Vec<Look> {
+    /// What is found in each stretch where an estimate has the walk.
+    pub fn judge(&self, estimate: &Estimate) -> Vec<InView> {
+        let cameras = || 0..self.walk.cameras.len();
+        let of_span = |(frames, chosen): &(Range<usize>, Vec<usize>)| {
+            let looks: Vec<Look> = chosen
+                .par_iter()
+                .flat_map_iter(|k| cameras().flat_map(|camera| self.image(estimate, *k, camera)))
+                .collect();
+            judged(frames.clone(), &looks, self.map)
+        };
+        self.spans.iter().map(of_span).collect()
+    }
+
+    fn image(&self, estimate: &Estimate, k: usize, camera: usize) -> Vec<Look> {
         let lens = self.walk.cameras[camera].camera();
         let features = &self.features[k * self.walk.cameras.len() + camera];
         let (width, height) = (lens.width, lens.height);
         let grid = KeypointGrid::new(&features.keypoints, width, height, 2.0 * RADIUS_PX);
         let middle_px = 0.5 * f64::from(height);
-        let centre = self
-            .estimate
-            .world_from_camera(k, camera, middle_px)
-            .translation;
+        let centre = estimate.world_from_camera(k, camera, middle_px).translation;
         let nearest = |at: Vector2<f64>, point: u32| {
             let keypoints = grid.within(&at, RADIUS_PX);
             let seen = keypoints.filter_map(|j| features.descriptors.get(j as usize));
@@ -245,7 +241,7 @@ impl Search<'_> {
         let expected = self.views.expected(&centre).into_iter();
         let looks = expected.filter_map(|point| {
             let point_in_world = self.map.position(point)?;
-            let pixel = self.estimate.project(k, camera, &point_in_world)?;
+            let pixel = estimate.project(k, camera, &point_in_world)?;
             lens.contains(&pixel, BORDER_PX).then(|| {
                 let aside = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
                 let aside = aside.map(|(x, y)| pixel + Vector2::new(x, y) * ASIDE_PX);

@@ -46,8 +46,10 @@ pub(super) struct Paint {
     seed: u64,
     /// Every second square metre has other paint: what another floor that is built alike looks like.
     is_other_floor: bool,
-    /// Turned by half a turn about the middle it is the same room.
+    /// Turned by half a turn about the middle it is the same room …
     is_same_turned: bool,
+    /// … but for every second square metre.
+    is_half_alike: bool,
 }
 
 impl Paint {
@@ -56,6 +58,7 @@ impl Paint {
             seed,
             is_other_floor: false,
             is_same_turned: false,
+            is_half_alike: false,
         }
     }
 
@@ -66,6 +69,13 @@ impl Paint {
         }
     }
 
+    pub fn half_alike_turned(seed: u64) -> Self {
+        Self {
+            is_half_alike: true,
+            ..Self::same_turned(seed)
+        }
+    }
+
     pub fn other_floor(seed: u64) -> Self {
         Self {
             is_other_floor: true,
@@ -73,14 +83,10 @@ impl Paint {
         }
     }
 
-    fn seed_at(&self, face: u64, u: f64, v: f64) -> u64 {
+    fn seed_at(&self, face: u64, [u, v]: [f64; 2], is_second_half: bool) -> u64 {
         let square = (u.floor() as i64 + v.floor() as i64 + face as i64).rem_euclid(2);
-        self.seed
-            + if self.is_other_floor && square == 0 {
-                1000
-            } else {
-                0
-            }
+        let is_other = self.is_other_floor || self.is_half_alike && is_second_half;
+        self.seed + if is_other && square == 0 { 1000 } else { 0 }
     }
 }
 
@@ -111,7 +117,7 @@ fn shade(room: Paint, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
     };
     let face = (2 * axis + side) as u64;
     let (u, v) = (hit[(axis + 1) % 3], hit[(axis + 2) % 3]);
-    paint(room.seed_at(face, u, v), face, u, v)
+    paint(room.seed_at(face, [u, v], is_second_half), face, u, v)
 }
 
 pub(super) fn rig() -> Rig {
