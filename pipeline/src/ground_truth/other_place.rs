@@ -108,7 +108,50 @@ impl Placed<'_> {
 /// How many times as much must be absent at another place as where the walk is said to be.
 const CLEARLY: f64 = 2.0;
 
-/// Whether what should be in view at another place speaks against it.
+/// Whether what should be in view at another place speaks against it. Where little is certain to be in view here, and most of what should be is
+/// there, a place that has changed since it was mapped is none the less the likelier one.
 fn is_excluded(there: &InView, here: &InView, config: &GroundTruthConfig) -> bool {
-    there.is_doubtful(config) && there.absent_share() > CLEARLY * here.absent_share()
+    there.is_doubtful(config)
+        && there.absent_share() > CLEARLY * here.absent_share()
+        && here.is_likelier_than(there)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn in_view(there: f64, absent: f64) -> InView {
+        InView {
+            frames: 0..1,
+            points: 100,
+            there,
+            absent,
+            most_absent: 0.0,
+        }
+    }
+
+    #[test]
+    fn another_place_is_excluded_by_what_is_not_there() {
+        let config = GroundTruthConfig::default();
+        let excluded = |there, here| is_excluded(&there, &here, &config);
+        assert!(excluded(in_view(20.0, 80.0), in_view(200.0, 0.0)));
+        assert!(
+            excluded(in_view(20.0, 80.0), in_view(3.0, 0.0)),
+            "little is in view here"
+        );
+        assert!(
+            !excluded(in_view(200.0, 0.0), in_view(200.0, 0.0)),
+            "both are alike"
+        );
+        assert!(
+            !excluded(in_view(0.0, 0.0), in_view(200.0, 0.0)),
+            "nothing is in view there"
+        );
+        // A third of what was there has been moved since, and here hardly anything should be in view.
+        assert!(!excluded(in_view(80.0, 40.0), in_view(6.0, 0.0)));
+        assert!(
+            !excluded(in_view(80.0, 20.0), in_view(80.0, 15.0)),
+            "both have changed"
+        );
+    }
 }

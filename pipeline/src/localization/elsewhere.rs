@@ -47,6 +47,8 @@ const FEWEST_MATCHES: usize = 8;
 /// A move of the walk must come of so many of its images, and so many moves, those that come of most, are tried.
 const FEWEST_FRAMES: usize = 2;
 const MOVES: usize = 3;
+/// Where less than this share is found of what is found where the walk is said to be, that is by chance.
+const LEAST_SHARE: f64 = 0.1;
 /// Of two images of the map the nearer one; where they look in opposite directions that counts as so many metres, twice.
 const DIRECTION_M: f64 = 4.0;
 
@@ -110,7 +112,10 @@ pub(crate) fn find_elsewhere(
             matches_there: matches.iter().sum(),
         }
     });
-    let mut there: Vec<Elsewhere> = there.collect();
+    let is_found = |there: &Elsewhere| {
+        there.matches_there as f64 >= LEAST_SHARE * there.matches_here.max(1) as f64
+    };
+    let mut there: Vec<Elsewhere> = there.filter(is_found).collect();
     there.sort_by_key(|there| std::cmp::Reverse(there.matches_there));
     there
 }

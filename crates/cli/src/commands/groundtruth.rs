@@ -41,7 +41,8 @@ use crate::standing;
 /// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
 ///
 /// Some images are looked for where they are not said to be, too: a walk that fits the map nearly as well somewhere else (the other end of a
-/// corridor, the next bay) is refused below min_place_margin, and warned of below twice (looks-alike).
+/// corridor, the next bay) is refused below min_place_margin, and warned of below twice (looks-alike), unless what the map has there is not
+/// seen. Where that holds of the place at which most images were found, and not of the other, the walk is solved at the other.
 ///
 /// The IMU measures lengths and the vertical: a map of another scale, or one that leans, is told by it (map-scale, map-level), as far as the
 /// accelerometer is calibrated; beyond 5 % the exit code is 4. So it is where images and IMU would only agree if the IMU were more than 12

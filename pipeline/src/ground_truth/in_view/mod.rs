@@ -97,6 +97,16 @@ impl InView {
         absent / (self.there + absent).max(f64::MIN_POSITIVE)
     }
 
+    /// Logarithm of how many times likelier all that was found is if it is this place.
+    fn for_this_place(&self) -> f64 {
+        self.there - self.absent_elsewhere()
+    }
+
+    /// Whether what was found here makes this the likelier place of the two by far.
+    pub fn is_likelier_than(&self, other: &Self) -> bool {
+        self.for_this_place() >= other.for_this_place() + LIKELIER.ln()
+    }
+
     /// Whether there is enough of it to tell the place from one that is built alike.
     pub fn is_judged(&self) -> bool {
         self.there + self.absent >= FEWEST_CELLS * MOST_OF_CELL
