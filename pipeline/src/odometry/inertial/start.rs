@@ -80,10 +80,7 @@ impl InertialFilter {
             },
             covariance: Matrix18::from_diagonal(&variance),
             reported: Matrix18::from_diagonal(&variance),
-            standing: stands.then_some(Standing {
-                angular_velocity: rate,
-                specific_force: force,
-            }),
+            standing: stands.then(|| Standing::new(rate, force)),
             time,
             noise: noise.clone(),
         })
