@@ -80,7 +80,10 @@ impl InertialFilter {
             },
             covariance: Matrix18::from_diagonal(&variance),
             reported: Matrix18::from_diagonal(&variance),
-            standing: stands.then(|| Standing::new(rate, force)),
+            standing: stands.then_some(Standing {
+                angular_velocity: rate,
+                specific_force: force,
+            }),
             time,
             noise: noise.clone(),
         })
