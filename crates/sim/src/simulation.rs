@@ -185,7 +185,11 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
         config: config.scan.clone(),
         length_m: on_board.then_some(0.02 * config.scan.duration_s),
         gaze: if on_board { Gaze::Board } else { Gaze::Steady },
-        gait: if on_board { Gait::STAND } else { Gait::WALK },
+        gait: if on_board {
+            Gait::STAND
+        } else {
+            Gait::walk_at(&config.scan)
+        },
     };
     let scan = Walk::of(&scan_plan, config.seed);
     let mut second = match config.paper_motion()? {
@@ -217,7 +221,7 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
             config: config.glasses.clone(),
             length_m: None,
             gaze: Gaze::AroundSlow,
-            gait: Gait::WALK,
+            gait: Gait::walk_at(&config.glasses),
         },
     };
     if config.off_path_m > 0.0 && !on_board {

@@ -165,7 +165,7 @@ pub enum OdometryWarning {
         /// See `from_s`.
         to_s: f64,
     },
-    /// Scans and accelerometer measure in different units.
+    /// Scans and accelerometer measure in different units, or lengths that differ by percents.
     Scale {
         /// Accelerations by the scans as a multiple of those by the accelerometer.
         scale: f64,
@@ -372,14 +372,19 @@ impl OdometryWarning {
             Self::ExtrinsicRotation { .. }
             | Self::ImuAxes { .. }
             | Self::ImuClock { .. }
-            | Self::ScansApart { .. }
-            | Self::Scale { .. } => Verdict::Fail,
+            | Self::ScansApart { .. } => Verdict::Fail,
+            // Less, and it may be the accelerometer's own scale.
+            Self::Scale { scale, .. } if (scale - 1.0).abs() > LARGEST_SCALE_OFF => Verdict::Fail,
             Self::LoopMisfit { sigmas } if *sigmas > MOST_MISFIT_SIGMAS => Verdict::Fail,
             _ => Verdict::Warn,
         }
     }
 }
 
+/// What no accelerometer is off by, as a share: beyond, ranges are.
+const LARGEST_SCALE_OFF: f64 = 0.05;
+/// As far as ranges of a LiDAR in metres may be off: its calibration, or a temperature.
+const LARGEST_RANGE_OFF: f64 = 0.2;
 /// Factors that units make, as far as one scatters about them, and what they are.
 const UNITS: [(f64, &str); 6] = [
     (1000.0, "clouds in millimetres"),
@@ -414,10 +419,15 @@ fn scale_sentence(scale: f64, sigma: f64) -> String {
                 .to_owned()
         }
         Some((_, unit)) => format!("as with {unit}"),
+        None if (scale - 1.0).abs() < LARGEST_RANGE_OFF => format!(
+            "ranges are {:.1} % too {}, and so is the path, or the accelerometer's scale is off; measure a known distance with the LiDAR, and look whether the accelerometer has 9.81 m/s² at rest",
+            100.0 * (scale - 1.0).abs(),
+            if scale > 1.0 { "long" } else { "short" }
+        ),
         None => "a unit is wrong, or the IMU is not on this LiDAR".to_owned(),
     };
     format!(
-        "by the scans the carrier accelerates {scale:.2} ± {sigma:.2} times as much as by its accelerometer: {why}; trajectory and covariances are wrong by it"
+        "by the scans the carrier accelerates {scale:.3} ± {sigma:.3} times as much as by its accelerometer: {why}; trajectory and covariances are wrong by it"
     )
 }
 

@@ -129,6 +129,32 @@ fn walks_off_the_scanners_path_keep_clear_of_everything() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
+/// The setting counted in the demo's place alone: elsewhere everybody turned as fast as who walks.
+#[test]
+fn bends_are_walked_round_as_fast_as_the_settings_let_one() {
+    let nowhere = World::of(&Default::default(), 0, 0.1, &no_progress).expect("built");
+    let fastest_rad_s = |turn_rate_rad_s: f64| {
+        let mut config = SimConfig {
+            place: Place::MediumOffice,
+            ..SimConfig::tiny()
+        };
+        for walk in [&mut config.scan, &mut config.glasses] {
+            (walk.duration_s, walk.turn_rate_rad_s) = (40.0, turn_rate_rad_s);
+        }
+        let walks = crate::simulation::walks(&config, &nowhere).expect("valid");
+        walks.map(|walk| {
+            let times = (0..4000).map(|i| f64::from(i) * 0.01);
+            let rates = times.map(|t| walk.at(t).angular_velocity_rad_s.z.abs());
+            rates.fold(0.0, f64::max)
+        })
+    };
+    let (slow, fast) = (fastest_rad_s(0.5), fastest_rad_s(2.0));
+    for (slow, fast) in slow.iter().zip(fast) {
+        assert!(fast > 1.2 * slow, "{slow} and {fast} rad/s");
+    }
+    assert!(fast[0] > 1.9, "{fast:?} rad/s");
+}
+
 #[test]
 fn motions_have_the_frames_and_lengths_of_table_vii() {
     assert_eq!(PaperMotion::all().len(), 25);

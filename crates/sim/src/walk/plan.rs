@@ -67,6 +67,14 @@ impl Gait {
         nod_rad: 0.006,
         turn_rate_rad_s: 4.0,
     };
+
+    /// A walk that turns in bends as fast as the settings let it.
+    pub(crate) fn walk_at(config: &WalkConfig) -> Self {
+        Self {
+            turn_rate_rad_s: config.turn_rate_rad_s,
+            ..Self::WALK
+        }
+    }
 }
 
 /// A walk to be made.

@@ -38,9 +38,11 @@ const UNDESKEWED_S: f64 = 2.0;
 
 /// What IMU and scans contradict each other in: that which explains the most alone, as the others cannot be told before it is mended.
 ///
-/// `unseen` has for each pose the direction of the world along which the scan sees no motion, if there is one.
+/// `trajectory` has the poses of the same scans with the IMU's help. `unseen` has for each the direction of the world along which the scan sees no
+/// motion, if there is one.
 pub(super) fn contradictions(
     by_scans: &[StampedPose],
+    trajectory: &[StampedPose],
     unseen: &[Option<Vector3<f64>>],
     samples: &[Stamped<ImuSample>],
     is_deskewed: bool,
@@ -71,14 +73,23 @@ pub(super) fn contradictions(
         off_deg: off.off_rad.to_degrees(),
         sigma_deg: off.sigma_rad.to_degrees(),
     }));
-    let triples = triples::triples(by_scans, unseen, samples, late_s);
+    let triples = triples::triples(by_scans, unseen, samples, late_s, triples::LEAST_S);
     match axes::of_accelerometer(&triples) {
         Some(wrong) => said.push(wrong.warning(Sensor::Accelerometer)),
         // Attitudes that are off feign other units.
-        None if said.is_empty() => said.extend(scale::scale_off(&triples).map(|off| {
-            let (scale, sigma) = (off.scale, off.sigma);
-            OdometryWarning::Scale { scale, sigma }
-        })),
+        None if said.is_empty() => {
+            // Scans that are not deskewed are as long as the carrier moves while they are taken.
+            let lengths = || {
+                let far = scale::PERCENTS_S;
+                let far = triples::triples(trajectory, unseen, samples, late_s, far);
+                scale::lengths_off(&far).filter(|_| is_deskewed)
+            };
+            let off = scale::scale_off(&triples).or_else(lengths);
+            said.extend(off.map(|off| {
+                let (scale, sigma) = (off.scale, off.sigma);
+                OdometryWarning::Scale { scale, sigma }
+            }));
+        }
         None => {}
     }
     said
@@ -91,6 +102,6 @@ pub(super) fn is_told_along(
     samples: &[Stamped<ImuSample>],
     along: &Vector3<f64>,
 ) -> bool {
-    let triples = triples::triples(by_scans, unseen, samples, 0.0);
+    let triples = triples::triples(by_scans, unseen, samples, 0.0, triples::LEAST_S);
     axes::is_told(&triples, along)
 }

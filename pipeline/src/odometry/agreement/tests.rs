@@ -52,7 +52,8 @@ fn a_right_imu_is_right() {
         let samples = samples(walk.1);
         for seed in 0..5 {
             for is_deskewed in [true, false] {
-                let said = contradictions(&by_scans(walk, seed), &[], &samples, is_deskewed);
+                let poses = by_scans(walk, seed);
+                let said = contradictions(&poses, &poses, &[], &samples, is_deskewed);
                 assert_eq!(said, [], "{walk:?} {seed} {is_deskewed}");
             }
         }
@@ -71,7 +72,7 @@ fn one_that_stands_says_nothing_of_its_imu() {
         s.sample.angular_velocity_rad_s = [1e-3, 2e-3, -1e-3];
         s.sample.specific_force_m_s2 = [0.1, 0.0, -9.81];
     });
-    assert_eq!(contradictions(&poses, &[], &standing, false), []);
+    assert_eq!(contradictions(&poses, &poses, &[], &standing, false), []);
 }
 
 /// Naively the world lay on its head, and nothing was said.
@@ -101,7 +102,7 @@ fn axes_that_are_others_are_named() {
                     };
                     *values = apply(signs, axes, *values);
                 });
-                let said = contradictions(&poses, &[], &spoilt, true);
+                let said = contradictions(&poses, &poses, &[], &spoilt, true);
                 let named = OdometryWarning::ImuAxes {
                     sensor: sensor.to_owned(),
                     right: right.to_owned(),
@@ -118,7 +119,8 @@ fn stamps_that_are_late_are_told_how_late() {
         let samples = samples(walk.1);
         for late_s in [0.2, -0.2, 0.05] {
             let spoilt = changed(&samples, |s| s.time = s.time.plus_secs(late_s));
-            let said = contradictions(&by_scans(walk, 3), &[], &spoilt, true);
+            let poses = by_scans(walk, 3);
+            let said = contradictions(&poses, &poses, &[], &spoilt, true);
             let [
                 OdometryWarning::ImuClock {
                     late_s: found_s, ..
@@ -141,7 +143,7 @@ fn a_lidar_that_hangs_otherwise_is_named_where_scans_are_rare_too() {
             ..p
         };
         let poses: Vec<_> = by_scans(walk, 4).into_iter().map(turned).collect();
-        let said = contradictions(&poses, &[], &samples(walk.1), is_deskewed);
+        let said = contradictions(&poses, &poses, &[], &samples(walk.1), is_deskewed);
         let [OdometryWarning::ExtrinsicRotation { off_deg, .. }] = said[..] else {
             panic!("{walk:?} {is_deskewed}: {said:?}");
         };

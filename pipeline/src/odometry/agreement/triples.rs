@@ -9,8 +9,8 @@ use nalgebra::SymmetricEigen;
 
 use super::turns::longest_s;
 
-/// From one scan to the next, seconds, at least.
-const LEAST_S: f64 = 0.15;
+/// From one scan to the next, seconds, at least, where nothing else is asked for.
+pub(super) const LEAST_S: f64 = 0.15;
 /// No two samples may be farther apart, seconds.
 const MOST_GAP_S: f64 = 0.1;
 
@@ -40,18 +40,19 @@ impl Triple {
     }
 }
 
-/// All of a walk, if the stamps of the IMU are so much too late.
+/// All of a walk, of scans that are at least so far apart, if the stamps of the IMU are so much too late.
 pub(super) fn triples(
     by_scans: &[StampedPose],
     unseen: &[Option<Vector3<f64>>],
     samples: &[Stamped<ImuSample>],
     late_s: f64,
+    least_s: f64,
 ) -> Vec<Triple> {
-    let longest_s = longest_s(by_scans);
+    let longest_s = longest_s(by_scans).max(2.0 * least_s);
     let next_after = |from: usize| {
         let start = by_scans.get(from)?.time;
         let later = by_scans.iter().enumerate().skip(from + 1);
-        let mut far = later.skip_while(|(_, p)| p.time.secs_since(start) < LEAST_S);
+        let mut far = later.skip_while(|(_, p)| p.time.secs_since(start) < least_s);
         let (k, pose) = far.next()?;
         (pose.time.secs_since(start) <= longest_s).then_some(k)
     };

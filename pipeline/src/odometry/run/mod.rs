@@ -270,7 +270,11 @@ impl OdometryRun {
         let mut result = self.found.finish(state, self.odometry.lidar());
         let deskew = &result.report.deskew;
         let is_deskewed = deskew.by_times + deskew.by_azimuth > deskew.none;
-        let said = contradictions(&by_scans, &unseen, &self.samples, is_deskewed);
+        // The first scan defines the map, and says nothing of its place.
+        let said_by_itself = |time| by_scans.binary_search_by_key(&time, |p| p.time).is_ok();
+        let walk = result.scan_poses.iter().map(|scan| scan.pose);
+        let walk: Vec<_> = walk.filter(|pose| said_by_itself(pose.time)).collect();
+        let said = contradictions(&by_scans, &walk, &unseen, &self.samples, is_deskewed);
         result.report.warnings.extend(said);
         if result.report.imu_samples > 0 {
             untold::widen(&mut result, |along| {

@@ -50,17 +50,7 @@ fn walk_in(
         noise: room::imu(),
         samples,
     };
-    let config = OdometryConfig::default();
-    let mut run = OdometryRun::new(&config, &lidar, Some(imu)).expect("settings");
-    for i in 0..(WALK_S * 10.0) as u64 - 1 {
-        let times = PointTimes::Field {
-            name: "t".to_owned(),
-            begins: TimesBegin::AfterStamp { nanos: 0 },
-        };
-        let scan = room::scan(room, i as f64 * 0.1, i);
-        run.push(TimedScan { scan, times }).expect("scan");
-    }
-    let result = run.finish().expect("a trajectory");
+    let result = run(&lidar, imu, WALK_S, |t, i| room::scan(room, t, i));
     let truth = |pose: &StampedPose| {
         room::world_from_rig(pose.time.secs_since(room::time(0.0))) * rig_from_usual.inverse()
     };
@@ -72,6 +62,56 @@ fn walk_in(
     });
     let worst_m = off_m.fold(0.0, f64::max);
     (result.report, worst_m)
+}
+
+/// Runs on so many seconds of scans.
+fn run(
+    lidar: &RigLidar,
+    imu: ImuSamples,
+    seconds: f64,
+    scan: impl Fn(f64, u64) -> Stamped<LidarScan>,
+) -> OdometryResult {
+    let config = OdometryConfig::default();
+    let mut run = OdometryRun::new(&config, lidar, Some(imu)).expect("settings");
+    for i in 0..(seconds * 10.0) as u64 - 1 {
+        let times = PointTimes::Field {
+            name: "t".to_owned(),
+            begins: TimesBegin::AfterStamp { nanos: 0 },
+        };
+        let scan = scan(i as f64 * 0.1, i);
+        run.push(TimedScan { scan, times }).expect("scan");
+    }
+    run.finish().expect("a trajectory")
+}
+
+/// Naively a path that was a tenth too long was nowhere off its scans, and nothing was said.
+#[test]
+fn ranges_that_are_too_long_are_told_by_the_accelerometer() {
+    const SECONDS: f64 = 16.0;
+    let room = Room::furnished();
+    let told = |factor: f32| {
+        let imu = ImuSamples {
+            noise: room::imu(),
+            samples: room::imu_samples(SECONDS, 7),
+        };
+        let result = run(&room::lidar(), imu, SECONDS, |t, i| {
+            let mut scan = room::scan(&room, t, i);
+            for point in &mut scan.sample.points {
+                point.position_m = point.position_m.map(|v| factor * v);
+            }
+            scan
+        });
+        result.report.warnings
+    };
+    assert_eq!(told(1.0), []);
+    let said = told(1.08);
+    let [OdometryWarning::Scale { scale, .. }] = said[..] else {
+        panic!("{said:?}");
+    };
+    // At least so much: the accelerometer is in the poses.
+    assert!((1.04..1.1).contains(&scale), "{scale}");
+    let finding = said[0].finding();
+    assert!(finding.what.contains("too long"), "{}", finding.what);
 }
 
 #[test]
