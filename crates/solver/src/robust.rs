@@ -78,6 +78,15 @@ impl Kernel {
         }
     }
 
+    /// Norm up to which the kernel is quadratic.
+    pub(crate) fn quadratic_until(&self) -> f64 {
+        match *self {
+            Kernel::Squared => f64::INFINITY,
+            Kernel::Huber { scale } => scale,
+            Kernel::Cauchy { .. } | Kernel::GemanMcClure { .. } => 0.0,
+        }
+    }
+
     /// `ρ` and `ρ'` at the squared norm `s`.
     pub fn at(&self, s: f64) -> Robust {
         match *self {

@@ -75,13 +75,19 @@ fn product(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
     }
 }
 
+/// Sums of neighbouring components first, which do not wait for one another.
+#[inline(always)]
 fn product_fixed<const N: usize>(rows: &[f64], step: &[f64], target: &mut [f64]) {
     let (rows, _) = rows.as_chunks::<N>();
     let Some(step) = step.first_chunk::<N>() else {
         return;
     };
     for (t, row) in target.iter_mut().zip(rows) {
-        *t += row.iter().zip(step).map(|(j, s)| j * s).sum::<f64>();
+        let mut sums = [0.0; 3];
+        for (k, (j, s)) in row.iter().zip(step).enumerate() {
+            sums[k % 3] += j * s;
+        }
+        *t += sums[0] + sums[1] + sums[2];
     }
 }
 
@@ -167,6 +173,11 @@ impl Models {
             &self.slots[model.slots[0] as usize..model.slots[1] as usize],
             &self.numbers[model.start..model.start + model.length],
         )
+    }
+
+    /// Whether a residual's model is true wherever its blocks are.
+    pub fn is_linear(&self, k: usize) -> bool {
+        self.models[k].is_linear
     }
 
     /// Cost of a residual where it was linearized last; `None` where it never was, or is undefined.
@@ -272,6 +283,11 @@ impl Models {
                 0.0
             }
         };
+        // Where the kernel is quadratic all the way, the linear model is as true as the residual's.
+        let farthest = model.norm + squared_norm(change).sqrt() / model.root;
+        if model.bend == 0.0 && farthest <= problem.residuals[k].kernel.quadratic_until() {
+            return false;
+        }
         let rows = 0..model.dimension;
         let along: f64 = rows.clone().map(|row| unit(row) * change[row]).sum();
         let whole = |row: usize| change[row] + model.bend / kept * along * unit(row);

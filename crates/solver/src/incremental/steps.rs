@@ -89,6 +89,15 @@ impl Steps {
                 .extend_from_slice(&problem.values[values.clone()]);
         }
         let range = self.range(block);
+        if self.parts[block] == Part::Point {
+            // A vector all of which is searched.
+            let steps = self.steps[range].iter_mut().zip(new);
+            for (value, (step, new)) in problem.values[values].iter_mut().zip(steps) {
+                *value += new - *step;
+                *step = *new;
+            }
+            return;
+        }
         self.whole.clear();
         self.whole.resize(entry.shape.tangent, 0.0);
         for (k, (s, n)) in self.steps[range.clone()].iter().zip(new).enumerate() {

@@ -300,7 +300,17 @@ impl System {
         let mut right = -state.gradient;
         for [block, at] in &state.pairs {
             let step = steps.of(*block as usize);
-            let columns = state.couplings[*at as usize..].chunks_exact(step.len().max(1));
+            let coupling = &state.couplings[*at as usize..];
+            if let Some(step) = step.first_chunk::<6>().filter(|_| step.len() == 6) {
+                let (columns, _) = coupling.as_chunks::<6>();
+                for (t, c) in right.iter_mut().zip(columns) {
+                    let first = c[0] * step[0] + c[1] * step[1] + c[2] * step[2];
+                    let second = c[3] * step[3] + c[4] * step[4] + c[5] * step[5];
+                    *t -= first + second;
+                }
+                continue;
+            }
+            let columns = coupling.chunks_exact(step.len().max(1));
             for (t, column) in right.iter_mut().zip(columns) {
                 *t -= column.iter().zip(step).map(|(v, x)| v * x).sum::<f64>();
             }
