@@ -158,6 +158,21 @@ mod tests {
     }
 
     #[test]
+    fn kernels_are_quadratic_as_far_as_they_say_and_no_farther() {
+        assert_eq!(Kernel::Squared.quadratic_until(), f64::INFINITY);
+        for kernel in [
+            Kernel::Huber { scale: 1.3 },
+            Kernel::Cauchy { scale: 1.3 },
+            Kernel::GemanMcClure { scale: 1.3 },
+        ] {
+            let norm = kernel.quadratic_until();
+            assert_eq!(kernel.at(norm * norm).cost, norm * norm, "{kernel:?}");
+            let beyond = (norm + 0.1_f64).powi(2);
+            assert!(kernel.at(beyond).cost < beyond, "{kernel:?}");
+        }
+    }
+
+    #[test]
     fn scales_mean_what_they_say() {
         assert_eq!(Kernel::Huber { scale: 2.0 }.at(16.0).weight, 0.5);
         assert_eq!(Kernel::Cauchy { scale: 2.0 }.at(4.0).weight, 0.5);
