@@ -3,15 +3,14 @@
 //! # How exact it is, and what limits it
 //!
 //! Cost is within some 1e-8 of a cold solve, poses up to some 1e-4 m from the optimum: what the thresholds of [`IncrementalConfig`] leave behind, along directions in which
-//! the cost hardly changes. On stereo tracks that is heading: a prior of a few thousand inverse square radians holds all of the walk. A model that was made
-//! before everything turned resists, beside models made after, by as much as it is torn from them: a third of a pixel a radian in each of some 28 000 residuals, and the
-//! walk is held twice as firmly as it is.
+//! the cost hardly changes. On stereo tracks that is likely heading, which a weak prior alone holds: models made before and after everything turned do not agree on which
+//! motion is a turn of everything, and what they are apart holds the walk beside the prior.
 //!
 //! Tried: the gradient of each residual taken where its blocks are now (`c = JᵀJ s − g` with an older `J`, which then decides only how fast rounds
 //! converge). On a walk of 300 keyframes without gravity that comes within 4e-8 m at 3 to 4 ms an update. On tracks with gravity as an unknown, which all inertial residuals share and
 //! which turns everything a little at each update, all of them are taken anew: five times the time, and one update in eight ended in a cold solve. On the stereo tracks, with gravity
-//! known, nothing but the newest columns is factored then, but what is torn makes rounds converge by a fifth each: 13 rounds, thrice the time. Poses in their own axes and points in
-//! those of a pose that sees them, so that no force turns: torn by each pose's turn against its neighbours times the distance from the origin, which is worse. The way left to
+//! known, hardly more than the newest columns are factored then, but rounds converge by a fifth each: 13 rounds, up to thrice the time, and cold solves. Poses in their own axes and points in
+//! those of a pose that sees them, so that no force turns: no better, since then distances from the origin count wherever poses turn against their neighbours. The way left to
 //! try is a turn of everything that is solved for by itself (or extrapolated from round to round: it is one direction), beside poses relative to their neighbours, so that turning
 //! everything moves next to nothing.
 
