@@ -61,10 +61,10 @@ pub struct IncrementalConfig {
 impl Default for IncrementalConfig {
     fn default() -> Self {
         Self {
-            relinearize_above: 1e-2,
+            relinearize_above: 3e-3,
             kernel_error_above: 1e-4,
             turn_above: 2e-4,
-            turn_alone_above: 6e-5,
+            turn_alone_above: 1e-4,
             look_above: 3e-3,
             propagate_above: 5e-4,
             max_rounds: 40,

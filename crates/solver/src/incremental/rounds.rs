@@ -319,11 +319,10 @@ impl Kept {
             }
         }
         self.points.clear();
-        for k in self.looked_at.all() {
-            if !self.stale.has(*k) && self.models.is_stale(problem, &self.steps, *k, trust) {
-                self.stale.add(*k);
-            }
-        }
+        let residuals = self.looked_at.all();
+        let (steps, stale) = (&self.steps, &mut self.stale);
+        self.models
+            .find_stale(problem, steps, residuals, trust, stale);
     }
 
     /// Of blocks with many points, looks at some first, others in each update: where none of them has changed by more than it
@@ -341,11 +340,8 @@ impl Kept {
                 }
                 let step = self.system.point_step(&self.steps, point);
                 self.steps.set(problem, point, step.as_slice());
-                let mut of_point = self.system.residuals_of(point).iter();
-                let is_stale = of_point.any(|k| {
-                    self.models
-                        .is_stale(problem, &self.steps, *k as usize, trust)
-                });
+                let of_point = self.system.residuals_of(point);
+                let is_stale = self.models.any_stale(problem, &self.steps, of_point, trust);
                 if !is_stale {
                     self.true_points.add(point);
                 }

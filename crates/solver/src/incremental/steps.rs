@@ -52,6 +52,7 @@ impl Steps {
         }
     }
 
+    #[inline]
     pub fn part(&self, block: usize) -> Part {
         self.parts.get(block).copied().unwrap_or(Part::Held)
     }
@@ -62,16 +63,19 @@ impl Steps {
     }
 
     /// Where a block's components lie among those of all blocks.
+    #[inline]
     pub fn range(&self, block: usize) -> std::ops::Range<usize> {
         let end = self.start.get(block + 1).copied();
         self.start[block]..end.unwrap_or(self.steps.len())
     }
 
     /// Searched components of a block.
+    #[inline]
     pub fn dimension(&self, block: usize) -> usize {
         self.range(block).len()
     }
 
+    #[inline]
     pub fn of(&self, block: usize) -> &[f64] {
         &self.steps[self.range(block)]
     }
