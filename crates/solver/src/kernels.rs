@@ -32,7 +32,7 @@ impl<R, A, F: FnOnce(A) -> R> WithSimd for Vectorized<F, A> {
 
 /// `a b + c`, in one instruction where the caller is compiled for it.
 #[inline(always)]
-fn multiply_add<const FUSED: bool>(a: f64, b: f64, c: f64) -> f64 {
+pub(crate) fn multiply_add<const FUSED: bool>(a: f64, b: f64, c: f64) -> f64 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
@@ -49,6 +49,25 @@ pub(crate) fn add_scaled<const FUSED: bool>(target: &mut [f64], source: &[f64], 
 pub(crate) fn dot<const FUSED: bool>(a: &[f64], b: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (x, y) in a.iter().zip(b) {
+        sum = multiply_add::<FUSED>(*x, *y, sum);
+    }
+    sum
+}
+
+/// Scalar product of long vectors, in four partial sums, which do not wait for one another.
+#[inline(always)]
+pub(crate) fn long_dot<const FUSED: bool>(a: &[f64], b: &[f64]) -> f64 {
+    let length = a.len().min(b.len());
+    let (a, a_rest) = a[..length].as_chunks::<4>();
+    let (b, b_rest) = b[..length].as_chunks::<4>();
+    let mut sums = [0.0; 4];
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (x, y)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum = multiply_add::<FUSED>(*x, *y, *sum);
+        }
+    }
+    let mut sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    for (x, y) in a_rest.iter().zip(b_rest) {
         sum = multiply_add::<FUSED>(*x, *y, sum);
     }
     sum

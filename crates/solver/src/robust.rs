@@ -78,6 +78,15 @@ impl Kernel {
         }
     }
 
+    /// Norm up to which the kernel is quadratic.
+    pub(crate) fn quadratic_until(&self) -> f64 {
+        match *self {
+            Kernel::Squared => f64::INFINITY,
+            Kernel::Huber { scale } => scale,
+            Kernel::Cauchy { .. } | Kernel::GemanMcClure { .. } => 0.0,
+        }
+    }
+
     /// `ρ` and `ρ'` at the squared norm `s`.
     pub fn at(&self, s: f64) -> Robust {
         match *self {
@@ -145,6 +154,21 @@ mod tests {
             }
             let tiny = kernel.at(1e-9);
             assert!((tiny.cost - 1e-9).abs() < 1e-17 && (tiny.weight - 1.0).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn kernels_are_quadratic_as_far_as_they_say_and_no_farther() {
+        assert_eq!(Kernel::Squared.quadratic_until(), f64::INFINITY);
+        for kernel in [
+            Kernel::Huber { scale: 1.3 },
+            Kernel::Cauchy { scale: 1.3 },
+            Kernel::GemanMcClure { scale: 1.3 },
+        ] {
+            let norm = kernel.quadratic_until();
+            assert_eq!(kernel.at(norm * norm).cost, norm * norm, "{kernel:?}");
+            let beyond = (norm + 0.1_f64).powi(2);
+            assert!(kernel.at(beyond).cost < beyond, "{kernel:?}");
         }
     }
 

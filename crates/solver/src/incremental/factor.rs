@@ -1,6 +1,6 @@
 //! Cholesky factor of the reduced system, kept up to the first columns that a change can reach.
 
-use crate::kernels::{add_lower_product, add_scaled, dot, vectorized};
+use crate::kernels::{add_lower_product, add_scaled, long_dot, vectorized};
 use crate::problem::Problem;
 
 use super::marks::Marks;
@@ -375,7 +375,7 @@ fn solve_back<const FUSED: bool>(
 ) {
     for c in (0..width).rev() {
         let column = &panel[c * height..(c + 1) * height];
-        let sum = dot::<FUSED>(&column[c + 1..], &solved[c + 1..]);
+        let sum = long_dot::<FUSED>(&column[c + 1..], &solved[c + 1..]);
         solved[c] = (solved[c] - sum) / column[c];
     }
 }

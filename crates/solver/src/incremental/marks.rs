@@ -20,6 +20,7 @@ impl Marks {
         is_new
     }
 
+    #[inline]
     pub fn has(&self, number: usize) -> bool {
         self.is_in.get(number) == Some(&true)
     }

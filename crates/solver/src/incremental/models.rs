@@ -1,10 +1,12 @@
 //! Linear models of residuals, each made where its blocks were at the time, and how far they can be trusted.
 
 use crate::evaluation::squared_norm;
+use crate::kernels::{multiply_add, vectorized};
 use crate::problem::{Problem, ResidualId};
 use crate::residual::{CONSTANT, Linearization, NO_PAIR, Parameters, Slot};
 use crate::{Error, Kernel, Undefined};
 
+use super::marks::Marks;
 use super::steps::{Part, Steps, align};
 
 /// Share of the curvature along a residual that is kept at least, as a root: what makes the normal matrix positive where a
@@ -58,14 +60,15 @@ pub(super) struct Models {
 }
 
 /// `target = J s`, of the Jacobians in a record.
-fn product(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
+#[inline(always)]
+fn product<const FUSED: bool>(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
     target.fill(0.0);
     for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
         let step = steps.of(slot.block as usize);
         let rows = &record[slot.jacobian as usize..];
         match step.len() {
-            3 => product_fixed::<3>(rows, step, target),
-            6 => product_fixed::<6>(rows, step, target),
+            3 => product_fixed::<FUSED, 3>(rows, step, target),
+            6 => product_fixed::<FUSED, 6>(rows, step, target),
             n => {
                 for (t, row) in target.iter_mut().zip(rows.chunks_exact(n.max(1))) {
                     *t += row.iter().zip(step).map(|(j, s)| j * s).sum::<f64>();
@@ -75,13 +78,23 @@ fn product(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
     }
 }
 
-fn product_fixed<const N: usize>(rows: &[f64], step: &[f64], target: &mut [f64]) {
+/// Sums of neighbouring components first, which do not wait for one another.
+#[inline(always)]
+fn product_fixed<const FUSED: bool, const N: usize>(
+    rows: &[f64],
+    step: &[f64],
+    target: &mut [f64],
+) {
     let (rows, _) = rows.as_chunks::<N>();
     let Some(step) = step.first_chunk::<N>() else {
         return;
     };
     for (t, row) in target.iter_mut().zip(rows) {
-        *t += row.iter().zip(step).map(|(j, s)| j * s).sum::<f64>();
+        let mut sums = [0.0; 3];
+        for (k, (j, s)) in row.iter().zip(step).enumerate() {
+            sums[k % 3] = multiply_add::<FUSED>(*j, *s, sums[k % 3]);
+        }
+        *t += sums[0] + sums[1] + sums[2];
     }
 }
 
@@ -100,6 +113,36 @@ fn bend(record: &mut [f64], slots: &[Slot], steps: &Steps, dimension: usize, ben
             }
         }
     }
+}
+
+#[inline(always)]
+#[allow(
+    clippy::type_complexity,
+    reason = "what is compiled for vector units takes its arguments as one tuple"
+)]
+fn find_stale<const FUSED: bool>(
+    (models, problem, steps, residuals, trust, stale): (
+        &mut Models,
+        &Problem,
+        &Steps,
+        &[usize],
+        Trust,
+        &mut Marks,
+    ),
+) {
+    for k in residuals {
+        if !stale.has(*k) && models.is_stale::<FUSED>(problem, steps, *k, trust) {
+            stale.add(*k);
+        }
+    }
+}
+
+#[inline(always)]
+fn any_stale<const FUSED: bool>(
+    (models, problem, steps, residuals, trust): (&mut Models, &Problem, &Steps, &[u32], Trust),
+) -> bool {
+    let mut residuals = residuals.iter();
+    residuals.any(|k| models.is_stale::<FUSED>(problem, steps, *k as usize, trust))
 }
 
 impl Models {
@@ -160,6 +203,7 @@ impl Models {
     }
 
     /// Rows of a residual, where its blocks lie, and its numbers: `b`, then the Jacobians.
+    #[inline]
     pub fn model(&self, k: usize) -> (usize, &[Slot], &[f64]) {
         let model = &self.models[k];
         (
@@ -167,6 +211,11 @@ impl Models {
             &self.slots[model.slots[0] as usize..model.slots[1] as usize],
             &self.numbers[model.start..model.start + model.length],
         )
+    }
+
+    /// Whether a residual's model is true wherever its blocks are.
+    pub fn is_linear(&self, k: usize) -> bool {
+        self.models[k].is_linear
     }
 
     /// Cost of a residual where it was linearized last; `None` where it never was, or is undefined.
@@ -236,15 +285,47 @@ impl Models {
         if model.root != 1.0 {
             record.iter_mut().for_each(|x| *x *= model.root);
         }
-        product(record, slots, steps, shift);
+        product::<false>(record, slots, steps, shift);
         for (b, shift) in record.iter_mut().zip(&*shift) {
             *b = *b / (1.0 - model.bend) - shift;
         }
         Ok(())
     }
 
+    /// Whether the model of any of some residuals cannot be trusted any more where the steps are now.
+    pub fn any_stale(
+        &mut self,
+        problem: &Problem,
+        steps: &Steps,
+        residuals: &[u32],
+        trust: Trust,
+    ) -> bool {
+        let models = self;
+        vectorized!(any_stale(models, problem, steps, residuals, trust))
+    }
+
+    /// Adds to `stale` those of some residuals whose models cannot be trusted any more where the steps are now.
+    pub fn find_stale(
+        &mut self,
+        problem: &Problem,
+        steps: &Steps,
+        residuals: &[usize],
+        trust: Trust,
+        stale: &mut Marks,
+    ) {
+        let models = self;
+        vectorized!(find_stale(models, problem, steps, residuals, trust, stale));
+    }
+
     /// Whether the model of a residual cannot be trusted any more where the steps are now.
-    pub fn is_stale(&mut self, problem: &Problem, steps: &Steps, k: usize, trust: Trust) -> bool {
+    #[inline(always)]
+    fn is_stale<const FUSED: bool>(
+        &mut self,
+        problem: &Problem,
+        steps: &Steps,
+        k: usize,
+        trust: Trust,
+    ) -> bool {
         let model = &self.models[k];
         if model.length == 0 || model.is_linear {
             return false;
@@ -256,7 +337,7 @@ impl Models {
         let record = &self.numbers[model.start..model.start + model.length];
         let shift = &self.numbers[model.start + model.length..][..model.dimension];
         self.scratch.resize(model.dimension, 0.0);
-        product(record, slots, steps, &mut self.scratch);
+        product::<FUSED>(record, slots, steps, &mut self.scratch);
         let change = &mut self.scratch[..];
         change.iter_mut().zip(shift).for_each(|(c, s)| *c -= s);
         if model.bend == 0.0 && squared_norm(change) > trust.change * trust.change {
@@ -272,6 +353,11 @@ impl Models {
                 0.0
             }
         };
+        // Where the kernel is quadratic all the way, the linear model is as true as the residual's.
+        let farthest = model.norm + squared_norm(change).sqrt() / model.root;
+        if model.bend == 0.0 && farthest <= problem.residuals[k].kernel.quadratic_until() {
+            return false;
+        }
         let rows = 0..model.dimension;
         let along: f64 = rows.clone().map(|row| unit(row) * change[row]).sum();
         let whole = |row: usize| change[row] + model.bend / kept * along * unit(row);

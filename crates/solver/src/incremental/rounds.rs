@@ -18,7 +18,7 @@ const MOST_RAISE: f64 = 2.0;
 const MARGIN: usize = 24;
 
 /// One of so many points of a block is looked at before the others, where it has at least twice as many.
-const SAMPLED: usize = 8;
+const SAMPLED: usize = 16;
 
 /// Residuals that are undefined are tried again in so many rounds of each update.
 const ROUNDS_FOR_UNDEFINED: usize = 2;
@@ -44,6 +44,8 @@ pub(super) struct Kept {
     moved: Marks,
     looked_at: Marks,
     sampled: Vec<usize>,
+    /// Points that were looked at, and whose models are true.
+    true_points: Marks,
     updates: usize,
     /// First group that this update reached, and that its first round did.
     first: usize,
@@ -293,7 +295,7 @@ impl Kept {
                 self.bare_turned_from[range.clone()].copy_from_slice(self.steps.of(*block));
             }
             for k in self.system.bare_of(*block) {
-                if is_turned {
+                if is_turned && !self.models.is_linear(*k as usize) {
                     self.stale.add(*k as usize);
                 } else {
                     self.looked_at.add(*k as usize);
@@ -317,32 +319,34 @@ impl Kept {
             }
         }
         self.points.clear();
-        for k in self.looked_at.all() {
-            if !self.stale.has(*k) && self.models.is_stale(problem, &self.steps, *k, trust) {
-                self.stale.add(*k);
-            }
-        }
+        let residuals = self.looked_at.all();
+        let (steps, stale) = (&self.steps, &mut self.stale);
+        self.models
+            .find_stale(problem, steps, residuals, trust, stale);
     }
 
     /// Of blocks with many points, looks at some first, others in each update: where none of them has changed by more than it
     /// may, the others are taken to be alike.
     fn sample(&mut self, problem: &mut Problem, trust: Trust) {
+        self.true_points.clear();
         for block in std::mem::take(&mut self.sampled) {
             let points = self.system.points_of(block);
-            let mut is_stale = false;
-            for point in points {
+            let is_sampled = |point: &&u32| **point as usize % SAMPLED == self.updates % SAMPLED;
+            let is_stale = points.iter().filter(is_sampled).any(|point| {
                 let point = *point as usize;
-                if point % SAMPLED != self.updates % SAMPLED || self.points.has(point) {
-                    continue;
+                // Many blocks see the same point.
+                if self.points.has(point) || self.true_points.has(point) {
+                    return false;
                 }
                 let step = self.system.point_step(&self.steps, point);
                 self.steps.set(problem, point, step.as_slice());
-                let mut of_point = self.system.residuals_of(point).iter();
-                is_stale |= of_point.any(|k| {
-                    self.models
-                        .is_stale(problem, &self.steps, *k as usize, trust)
-                });
-            }
+                let of_point = self.system.residuals_of(point);
+                let is_stale = self.models.any_stale(problem, &self.steps, of_point, trust);
+                if !is_stale {
+                    self.true_points.add(point);
+                }
+                is_stale
+            });
             if is_stale {
                 for point in points {
                     self.points.add(*point as usize);

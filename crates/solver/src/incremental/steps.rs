@@ -52,6 +52,7 @@ impl Steps {
         }
     }
 
+    #[inline]
     pub fn part(&self, block: usize) -> Part {
         self.parts.get(block).copied().unwrap_or(Part::Held)
     }
@@ -62,16 +63,19 @@ impl Steps {
     }
 
     /// Where a block's components lie among those of all blocks.
+    #[inline]
     pub fn range(&self, block: usize) -> std::ops::Range<usize> {
         let end = self.start.get(block + 1).copied();
         self.start[block]..end.unwrap_or(self.steps.len())
     }
 
     /// Searched components of a block.
+    #[inline]
     pub fn dimension(&self, block: usize) -> usize {
         self.range(block).len()
     }
 
+    #[inline]
     pub fn of(&self, block: usize) -> &[f64] {
         &self.steps[self.range(block)]
     }
@@ -89,6 +93,15 @@ impl Steps {
                 .extend_from_slice(&problem.values[values.clone()]);
         }
         let range = self.range(block);
+        if self.parts[block] == Part::Point {
+            // A vector all of which is searched.
+            let steps = self.steps[range].iter_mut().zip(new);
+            for (value, (step, new)) in problem.values[values].iter_mut().zip(steps) {
+                *value += new - *step;
+                *step = *new;
+            }
+            return;
+        }
         self.whole.clear();
         self.whole.resize(entry.shape.tangent, 0.0);
         for (k, (s, n)) in self.steps[range.clone()].iter().zip(new).enumerate() {

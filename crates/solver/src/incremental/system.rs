@@ -2,11 +2,13 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::kernels::{add_product, subtract_product, vectorized};
+use crate::kernels::{
+    add_matrix_vector, add_product, multiply_inverse, subtract_product, vectorized,
+};
 use crate::layout::POINT;
 use crate::normal::inverse_of_symmetric;
 use crate::problem::BlockId;
-use crate::residual::{CONSTANT, Slot};
+use crate::residual::CONSTANT;
 
 use super::marks::Marks;
 use super::models::Models;
@@ -135,37 +137,9 @@ impl System {
         }
         let before = std::mem::take(&mut state.pairs);
         state.couplings.clear();
-        let mut hessian = Matrix3::zeros();
-        let mut gradient = Vector3::zeros();
-        for k in &self.residuals[point] {
-            let (dimension, slots, record) = models.model(*k as usize);
-            let own = slots.iter().find(|slot| slot.block as usize == point);
-            let Some(own) = own.filter(|slot| slot.jacobian != CONSTANT) else {
-                continue;
-            };
-            let by_point = &record[own.jacobian as usize..][..dimension * POINT];
-            for (row, b) in by_point.chunks_exact(POINT).zip(record) {
-                let row = Vector3::from_column_slice(row);
-                hessian += row * row.transpose();
-                gradient += row * *b;
-            }
-            for slot in slots {
-                let block = slot.block as usize;
-                if slot.jacobian == CONSTANT || steps.part(block) != Part::Reduced {
-                    continue;
-                }
-                let n = steps.dimension(block);
-                let known = state.pairs.iter().rev().find(|pair| pair[0] == slot.block);
-                let at = known.map_or(state.couplings.len(), |pair| pair[1] as usize);
-                if known.is_none() {
-                    state.pairs.push([slot.block, at as u32]);
-                    state.couplings.resize(at + POINT * n, 0.0);
-                }
-                let target = &mut state.couplings[at..at + POINT * n];
-                let jacobian = &record[slot.jacobian as usize..][..dimension * n];
-                vectorized!(add_jacobians(target, jacobian, n, by_point, POINT));
-            }
-        }
+        let (residuals, of_point) = (&self.residuals[point][..], &mut state);
+        let (mut hessian, mut gradient) =
+            vectorized!(add_up_point(residuals, models, steps, point, of_point));
         let same = before
             .iter()
             .map(|p| p[0])
@@ -218,15 +192,13 @@ impl System {
         column.find(&mut self.found);
         let right_side = &mut self.right_side[range.clone()];
         right_side.copy_from_slice(&self.seen_right_side[range.clone()]);
-        for k in &self.bare[block] {
-            let (dimension, slots, record) = models.model(*k as usize);
-            let of_residual = (dimension, slots, record);
-            add_residual(
-                of_residual,
-                (steps, place, block),
-                (&mut column, &mut self.found, right_side),
-            );
-        }
+        let (residuals, found) = (&self.bare[block][..], &mut self.found[..]);
+        let (target, right) = (&mut column, &mut right_side[..]);
+        vectorized!(add_residuals(
+            (residuals, false),
+            (models, steps, place, block),
+            (target, found, right),
+        ));
         column.forget(&mut self.found);
         for (k, right) in right_side.iter_mut().enumerate() {
             let entry = &mut column.values[k * n + k];
@@ -250,43 +222,24 @@ impl System {
         let right_side = &mut self.seen_right_side[range.clone()];
         right_side.fill(0.0);
         column.place(&mut self.found, block as u32, n * n);
-        for k in &self.residuals[block] {
-            let (dimension, slots, record) = models.model(*k as usize);
-            let mut blocks = slots.iter().map(|slot| slot.block as usize);
-            if blocks.any(|b| steps.part(b) == Part::Point) {
-                add_residual(
-                    (dimension, slots, record),
-                    (steps, place, block),
-                    (&mut column, &mut self.found, right_side),
-                );
-            }
-        }
+        let (residuals, found) = (&self.residuals[block][..], &mut self.found[..]);
+        let (target, right) = (&mut column, &mut right_side[..]);
+        vectorized!(add_residuals(
+            (residuals, true),
+            (models, steps, place, block),
+            (target, found, right),
+        ));
         for k in 0..n {
             self.seen_diagonal[range.start + k] = column.values[k * n + k];
         }
         self.gain.resize(POINT * n, 0.0);
-        for point in &self.points[block] {
-            let state = &self.eliminated[*point as usize];
-            let Some(own) = state.pairs.iter().find(|pair| pair[0] as usize == block) else {
-                continue;
-            };
-            let own = &state.couplings[own[1] as usize..][..POINT * n];
-            for c in 0..POINT {
-                for r in 0..n {
-                    let terms = (0..POINT).map(|k| own[k * n + r] * state.inverse[(k, c)]);
-                    self.gain[c * n + r] = terms.sum();
-                }
-            }
-            let columns = self.gain.chunks_exact(n.max(1));
-            for (column, g) in columns.zip(state.gradient.iter()) {
-                let entries = right_side.iter_mut().zip(column);
-                entries.for_each(|(t, v)| *t += v * g);
-            }
-            let (found, gain, column) = (&mut self.found[..], &self.gain[..], &mut column);
-            vectorized!(subtract_point(
-                state, steps, place, block, found, gain, column
-            ));
-        }
+        let (points, eliminated) = (&self.points[block][..], &self.eliminated[..]);
+        let (found, gain, target) = (&mut self.found[..], &mut self.gain[..], &mut column);
+        vectorized!(subtract_points(
+            (points, eliminated),
+            (steps, place, block),
+            (target, found, right_side, gain),
+        ));
         column.forget(&mut self.found);
         self.seen[block] = column;
     }
@@ -300,7 +253,17 @@ impl System {
         let mut right = -state.gradient;
         for [block, at] in &state.pairs {
             let step = steps.of(*block as usize);
-            let columns = state.couplings[*at as usize..].chunks_exact(step.len().max(1));
+            let coupling = &state.couplings[*at as usize..];
+            if let Some(step) = step.first_chunk::<6>().filter(|_| step.len() == 6) {
+                let (columns, _) = coupling.as_chunks::<6>();
+                for (t, c) in right.iter_mut().zip(columns) {
+                    let first = c[0] * step[0] + c[1] * step[1] + c[2] * step[2];
+                    let second = c[3] * step[3] + c[4] * step[4] + c[5] * step[5];
+                    *t -= first + second;
+                }
+                continue;
+            }
+            let columns = coupling.chunks_exact(step.len().max(1));
             for (t, column) in right.iter_mut().zip(columns) {
                 *t -= column.iter().zip(step).map(|(v, x)| v * x).sum::<f64>();
             }
@@ -345,74 +308,124 @@ impl Column {
     }
 }
 
-/// Adds what one residual contributes to a block's column and right side.
-fn add_residual(
-    (dimension, slots, record): (usize, &[Slot], &[f64]),
-    (steps, place, block): (&Steps, &[u32], usize),
-    (column, found, right_side): (&mut Column, &mut [u32], &mut [f64]),
-) {
-    let n = steps.dimension(block);
-    let own = slots.iter().find(|slot| slot.block as usize == block);
-    let Some(own) = own.filter(|slot| slot.jacobian != CONSTANT) else {
-        return;
-    };
-    let own = &record[own.jacobian as usize..][..dimension * n];
-    for (row, b) in own.chunks_exact(n.max(1)).zip(record) {
-        let entries = right_side.iter_mut().zip(row);
-        entries.for_each(|(t, j)| *t -= j * b);
-    }
-    for slot in slots {
-        let other = slot.block as usize;
-        if slot.jacobian == CONSTANT
-            || steps.part(other) != Part::Reduced
-            || place[other] < place[block]
-        {
+/// A point's normal matrix and gradient, and its couplings with the blocks that it shares residuals with.
+#[inline(always)]
+#[allow(
+    clippy::type_complexity,
+    reason = "what is compiled for vector units takes its arguments as one tuple"
+)]
+fn add_up_point<const FUSED: bool>(
+    (residuals, models, steps, point, state): (&[u32], &Models, &Steps, usize, &mut Eliminated),
+) -> (Matrix3<f64>, Vector3<f64>) {
+    let mut hessian = Matrix3::zeros();
+    let mut gradient = Vector3::zeros();
+    for k in residuals {
+        let (dimension, slots, record) = models.model(*k as usize);
+        let own = slots.iter().find(|slot| slot.block as usize == point);
+        let Some(own) = own.filter(|slot| slot.jacobian != CONSTANT) else {
             continue;
+        };
+        let by_point = &record[own.jacobian as usize..][..dimension * POINT];
+        for (row, b) in by_point.chunks_exact(POINT).zip(record) {
+            let row = Vector3::from_column_slice(row);
+            hessian += row * row.transpose();
+            gradient += row * *b;
         }
-        let m = steps.dimension(other);
-        let target = column.place(found, slot.block, m * n);
-        let jacobian = &record[slot.jacobian as usize..][..dimension * m];
-        vectorized!(add_jacobians(target, jacobian, m, own, n));
+        for slot in slots {
+            let block = slot.block as usize;
+            if slot.jacobian == CONSTANT || steps.part(block) != Part::Reduced {
+                continue;
+            }
+            let n = steps.dimension(block);
+            let known = state.pairs.iter().rev().find(|pair| pair[0] == slot.block);
+            let at = known.map_or(state.couplings.len(), |pair| pair[1] as usize);
+            if known.is_none() {
+                state.pairs.push([slot.block, at as u32]);
+                state.couplings.resize(at + POINT * n, 0.0);
+            }
+            let target = &mut state.couplings[at..at + POINT * n];
+            let jacobian = &record[slot.jacobian as usize..][..dimension * n];
+            add_product::<FUSED>(target, jacobian, n, by_point, POINT);
+        }
     }
+    (hessian, gradient)
 }
 
-/// `target += leftᵀ right`: `target` is `m × n`, columns first; the Jacobians are rows first.
+/// Adds what residuals contribute to a block's column and right side: all, or those that read points.
 #[inline(always)]
 #[allow(
     clippy::type_complexity,
     reason = "what is compiled for vector units takes its arguments as one tuple"
 )]
-fn add_jacobians<const FUSED: bool>(
-    (target, left, m, right, n): (&mut [f64], &[f64], usize, &[f64], usize),
-) {
-    add_product::<FUSED>(target, left, m, right, n);
-}
-
-/// What a point subtracts from the column of one of its blocks.
-#[inline(always)]
-#[allow(
-    clippy::type_complexity,
-    reason = "what is compiled for vector units takes its arguments as one tuple"
-)]
-fn subtract_point<const FUSED: bool>(
-    (state, steps, place, block, found, gain, column): (
-        &Eliminated,
-        &Steps,
-        &[u32],
-        usize,
-        &mut [u32],
-        &[f64],
-        &mut Column,
+fn add_residuals<const FUSED: bool>(
+    ((residuals, of_points), (models, steps, place, block), (column, found, right_side)): (
+        (&[u32], bool),
+        (&Models, &Steps, &[u32], usize),
+        (&mut Column, &mut [u32], &mut [f64]),
     ),
 ) {
     let n = steps.dimension(block);
-    for [other, at] in &state.pairs {
-        if place[*other as usize] < place[block] {
+    for k in residuals {
+        let (dimension, slots, record) = models.model(*k as usize);
+        let mut blocks = slots.iter().map(|slot| slot.block as usize);
+        if of_points && !blocks.any(|b| steps.part(b) == Part::Point) {
             continue;
         }
-        let m = steps.dimension(*other as usize);
-        let target = column.place(found, *other, m * n);
-        let coupling = &state.couplings[*at as usize..][..POINT * m];
-        subtract_product::<FUSED>(target, coupling, m, gain, n);
+        let own = slots.iter().find(|slot| slot.block as usize == block);
+        let Some(own) = own.filter(|slot| slot.jacobian != CONSTANT) else {
+            continue;
+        };
+        let own = &record[own.jacobian as usize..][..dimension * n];
+        for (row, b) in own.chunks_exact(n.max(1)).zip(record) {
+            let entries = right_side.iter_mut().zip(row);
+            entries.for_each(|(t, j)| *t -= j * b);
+        }
+        for slot in slots {
+            let other = slot.block as usize;
+            if slot.jacobian == CONSTANT
+                || steps.part(other) != Part::Reduced
+                || place[other] < place[block]
+            {
+                continue;
+            }
+            let m = steps.dimension(other);
+            let target = column.place(found, slot.block, m * n);
+            let jacobian = &record[slot.jacobian as usize..][..dimension * m];
+            add_product::<FUSED>(target, jacobian, m, own, n);
+        }
+    }
+}
+
+/// Subtracts what points contribute to the column of one of their blocks, and to its right side.
+#[inline(always)]
+#[allow(
+    clippy::type_complexity,
+    reason = "what is compiled for vector units takes its arguments as one tuple"
+)]
+fn subtract_points<const FUSED: bool>(
+    ((points, eliminated), (steps, place, block), (column, found, right_side, gain)): (
+        (&[u32], &[Eliminated]),
+        (&Steps, &[u32], usize),
+        (&mut Column, &mut [u32], &mut [f64], &mut [f64]),
+    ),
+) {
+    let n = steps.dimension(block);
+    for point in points {
+        let state = &eliminated[*point as usize];
+        let Some(own) = state.pairs.iter().find(|pair| pair[0] as usize == block) else {
+            continue;
+        };
+        let own = &state.couplings[own[1] as usize..][..POINT * n];
+        multiply_inverse::<FUSED>(gain, own, n, &state.inverse.data.0);
+        add_matrix_vector::<FUSED>(right_side, gain, state.gradient.as_slice());
+        for [other, at] in &state.pairs {
+            if place[*other as usize] < place[block] {
+                continue;
+            }
+            let m = steps.dimension(*other as usize);
+            let target = column.place(found, *other, m * n);
+            let coupling = &state.couplings[*at as usize..][..POINT * m];
+            subtract_product::<FUSED>(target, coupling, m, gain, n);
+        }
     }
 }
