@@ -7,14 +7,13 @@ use crate::process::lsfb;
 fn a_run_of_the_trial_is_judged_and_stands() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    let arguments =
-        "bench twin --out trial --try-out --true-rigs --places stairs --devices glasses --seed 1";
+    let arguments = "bench twin --out trial --try-out --true-rigs --places wide-corridor --devices glasses --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let trial = json(root, &arguments, 0);
     let run = &trial["runs"][0];
     assert_eq!(
         (&run["place"], &run["device"]),
-        (&"stairs".into(), &"glasses".into())
+        (&"wide-corridor".into(), &"glasses".into())
     );
     let figure = |name: &str| {
         run[name]
@@ -34,7 +33,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
         assert!(root.join("trial").join(name).exists(), "{name}");
     }
     assert!(
-        !root.join("trial/stairs-1/scan.mcap").exists(),
+        !root.join("trial/wide-corridor-1/scan.mcap").exists(),
         "recordings are large"
     );
     assert_eq!(json(root, &arguments, 0)["runs"], trial["runs"], "stands");
@@ -53,7 +52,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
 #[test]
 fn a_walk_along_a_door_frame_is_not_given_wrongly() {
     let folder = tempfile::tempdir().expect("folder");
-    let arguments = "bench twin --out trial --try-out --true-rigs --places narrow-corridor --devices android --seed 1";
+    let arguments = "bench twin --out trial --try-out --true-rigs --simple-light --plain-look --places narrow-corridor --devices android --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let run = &json(folder.path(), &arguments, 0)["runs"][0];
     assert_eq!(run["exported_wrong"], 0, "{run}");

@@ -1,6 +1,5 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -118,13 +117,13 @@ fn solve_in_map(
         Ok(solved) => return Ok(solved),
         Err(refused) => refused,
     };
-    let Some(poses) = &first.elsewhere else {
+    let Some(there) = &first.elsewhere else {
         return Err(first.error);
     };
     let frames = read.frames.par_iter().zip(&was_looked_up).enumerate();
     let localized: Vec<Option<Localization>> = frames
         .map(|(k, (frame, is_wanted))| {
-            let near = poses.get(&k).filter(|_| *is_wanted)?;
+            let near = there.pose(k).filter(|_| *is_wanted)?;
             localize_near(&localizer, rig, &frame.features, near)
         })
         .collect();
@@ -136,10 +135,25 @@ fn solve_in_map(
     })
 }
 
-/// A walk that is refused, and by frame where else it is, if that is where what should be in view is seen.
+/// A walk that is refused, and where else it is, if that is where what should be in view is seen.
 struct Refused {
     error: Error,
-    elsewhere: Option<BTreeMap<usize, Se3>>,
+    elsewhere: Option<Box<There>>,
+}
+
+/// A walk at another place.
+struct There {
+    /// The recording's frame that is its first one.
+    first_frame: usize,
+    estimate: Estimate,
+}
+
+impl There {
+    /// Pose of the rig there at a frame of the recording; `None` outside the walk.
+    fn pose(&self, frame: usize) -> Option<&Se3> {
+        let own = frame.checked_sub(self.first_frame)?;
+        (own < self.estimate.states.len()).then(|| self.estimate.pose(own))
+    }
 }
 
 impl<E: Into<Error>> From<E> for Refused {
@@ -292,14 +306,14 @@ impl Attempt<'_> {
         });
         if let Some(error) = refusal.or(alike) {
             let there = found.filter(|(other, _)| is_elsewhere && other.is_seen);
-            let poses = |(_, moved): (_, Estimate)| {
-                (0..range.len())
-                    .map(|k| (range.start + k, *moved.pose(k)))
-                    .collect()
-            };
             return Err(Refused {
                 error,
-                elsewhere: there.map(poses),
+                elsewhere: there.map(|(_, estimate)| {
+                    Box::new(There {
+                        first_frame: range.start,
+                        estimate,
+                    })
+                }),
             });
         }
         let trajectory = Trajectory::new(trusted.poses.clone());

@@ -75,12 +75,14 @@ pub struct Arguments {
     /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
     #[arg(long)]
     true_rigs: bool,
-    /// Light traced from true lamps, sky and sun, with shadows, gloss and windows too bright to see through; computed once for each place.
+    /// Simple light instead of that traced from true lamps, sky and sun, which has shadows, gloss and windows too bright to see through, and
+    /// is computed once for each place and seed: easier than any real trial.
     #[arg(long)]
-    baked_light: bool,
-    /// Surfaces painted each in its own way, with signs, books, screens and papers that have words on them, and a view out of the windows.
+    simple_light: bool,
+    /// Speckles of all sizes instead of surfaces painted each in its own way, with signs, books, screens and papers that have words on them, and
+    /// a view out of the windows.
     #[arg(long)]
-    detailed_look: bool,
+    plain_look: bool,
     /// Places that are worked on at the same time; without it, as many as cores and free memory allow. Results do not depend on it;
     /// the time of a stage is then that beside others.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
@@ -124,10 +126,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             false => Rigs::Calibrated,
         },
         light: Light {
-            folder: arguments.baked_light.then(|| arguments.out.join("light")),
-            look: match arguments.detailed_look {
-                true => Look::Detailed,
-                false => Look::Plain,
+            folder: (!arguments.simple_light).then(|| arguments.out.join("light")),
+            look: match arguments.plain_look {
+                true => Look::Plain,
+                false => Look::Detailed,
             },
         },
         rigs: Mutex::default(),
