@@ -122,16 +122,18 @@ pub(crate) fn find_elsewhere(
 
 /// How many points an instant shows where it is said to be, and poses of it that contradict that one, best votes first.
 fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (usize, Vec<Se3>) {
-    let Ok(cameras) = localizer.mount(frame.features, rig) else {
-        return (0, Vec::new());
-    };
-    let grids = localizer.grids(frame.features, &cameras);
-    let query = Query {
-        map: localizer.map(),
-        frames: frame.features,
-        grids: &grids,
-        cameras: &cameras,
-    };
+    let found = with_query(localizer, rig, frame.features, |query| {
+        Some(elsewhere_of(localizer, rig, frame, query))
+    });
+    found.unwrap_or_default()
+}
+
+fn elsewhere_of(
+    localizer: &Localizer,
+    rig: &Rig,
+    frame: &PlacedFrame,
+    query: &Query,
+) -> (usize, Vec<Se3>) {
     let here = &frame.world_from_rig;
     let found_here = pose_near(localizer, rig, frame.features, here);
     let matches_here = found_here.map_or_else(Vec::new, |found| found.matches);
@@ -153,7 +155,7 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (us
     let candidates: Vec<Vec<Candidates>> = frame
         .features
         .iter()
-        .zip(&cameras)
+        .zip(query.cameras)
         .map(|(features, camera)| what_does_not_fit(localizer, features, camera, here))
         .collect();
     let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
@@ -172,7 +174,7 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (us
         let place = places.neighbourhood(vote.image, localizer.config.place_images);
         let points = places.points_of(&place);
         tried.extend(&place);
-        let found = localizer.pose_at(&query, points, &candidates, vote.votes);
+        let found = localizer.pose_at(query, points, &candidates, vote.votes);
         let found = found.map(|found| found.pose);
         let found = found.filter(|pose| {
             pose.matches.len() >= FEWEST_MATCHES
@@ -206,6 +208,23 @@ fn what_does_not_fit(
     candidates
 }
 
+/// What is made of the images of an instant before the map; `None` where they are not of the rig's cameras.
+fn with_query<T>(
+    localizer: &Localizer,
+    rig: &Rig,
+    frames: &[FrameFeatures],
+    made: impl FnOnce(&Query) -> Option<T>,
+) -> Option<T> {
+    let cameras = localizer.mount(frames, rig).ok()?;
+    let grids = localizer.grids(frames, &cameras);
+    made(&Query {
+        map: localizer.map(),
+        frames,
+        grids: &grids,
+        cameras: &cameras,
+    })
+}
+
 /// The pose near `world_from_rig` at which most points of the map's images around are found in the images of an instant.
 fn pose_near(
     localizer: &Localizer,
@@ -213,17 +232,11 @@ fn pose_near(
     features: &[FrameFeatures],
     world_from_rig: &Se3,
 ) -> Option<GuidedPose> {
-    let cameras = localizer.mount(features, rig).ok()?;
-    let grids = localizer.grids(features, &cameras);
-    let query = Query {
-        map: localizer.map(),
-        frames: features,
-        grids: &grids,
-        cameras: &cameras,
-    };
-    let points = points_around(localizer, &cameras, world_from_rig);
-    let found = query.guided_pose(&points, world_from_rig, &localizer.guided());
-    found.filter(|found| !contradict(&found.world_from_rig, world_from_rig))
+    with_query(localizer, rig, features, |query| {
+        let points = points_around(localizer, query.cameras, world_from_rig);
+        let found = query.guided_pose(&points, world_from_rig, &localizer.guided());
+        found.filter(|found| !contradict(&found.world_from_rig, world_from_rig))
+    })
 }
 
 /// The pose of an instant near one, by the map's images around there alone; `None` where it does not fit there.
@@ -233,26 +246,21 @@ pub(crate) fn localize_near(
     features: &[FrameFeatures],
     near: &Se3,
 ) -> Option<Localization> {
-    let cameras = localizer.mount(features, rig).ok()?;
-    let grids = localizer.grids(features, &cameras);
-    let query = Query {
-        map: localizer.map(),
-        frames: features,
-        grids: &grids,
-        cameras: &cameras,
-    };
-    let candidates: Vec<Vec<Candidates>> = features.iter().map(|f| localizer.look_up(f)).collect();
-    let points = points_around(localizer, &cameras, near);
-    let hypothesis = localizer.pose_at(&query, points, &candidates, 0)?;
-    let found = Found {
-        hypothesis,
-        places: 1,
-        rival_inliers: 0,
-    };
-    let found = localizer.judge(found, &query)?;
-    let is_found = found.probability >= localizer.min_probability()
-        && !contradict(&found.world_from_rig, near);
-    is_found.then_some(found)
+    with_query(localizer, rig, features, |query| {
+        let candidates = features.iter().map(|f| localizer.look_up(f));
+        let candidates: Vec<Vec<Candidates>> = candidates.collect();
+        let points = points_around(localizer, query.cameras, near);
+        let hypothesis = localizer.pose_at(query, points, &candidates, 0)?;
+        let found = Found {
+            hypothesis,
+            places: 1,
+            rival_inliers: 0,
+        };
+        let found = localizer.judge(found, query)?;
+        let is_found = found.probability >= localizer.min_probability()
+            && !contradict(&found.world_from_rig, near);
+        is_found.then_some(found)
+    })
 }
 
 /// Points of the map's images that look most as the cameras of a rig do, ascending.
