@@ -44,9 +44,9 @@ struct Measured {
     ranges: [[[f64; 2]; 3]; 2],
     repeats: Repeats<ImuSample>,
     last: Option<ImuSample>,
-    /// Samples that were taken in a turn, and how many of them are the one before once more.
+    /// Samples that were taken in a turn, and in how many of them gyroscope and accelerometer say what they said before: either may be held alone.
     turning: usize,
-    repeated: usize,
+    repeated: [usize; 2],
     stamps: Order,
     arrivals: Order,
 }
@@ -69,11 +69,14 @@ impl Measured {
         }
         self.samples += 1;
         let [rate, force] = values.map(|v| v.iter().map(|value| value * value).sum::<f64>().sqrt());
+        let last = self.last.replace(sample);
         if rate > TURNING_RAD_S {
             self.turning += 1;
-            self.repeated += usize::from(self.last == Some(sample));
+            let last = last.map(|last| [last.angular_velocity_rad_s, last.specific_force_m_s2]);
+            for (repeated, sensor) in self.repeated.iter_mut().zip(0..) {
+                *repeated += usize::from(last.is_some_and(|last| last[sensor] == values[sensor]));
+            }
         }
-        self.last = Some(sample);
         self.rates_rad_s.push(rate);
         self.forces_m_s2.push(force);
     }
@@ -84,11 +87,16 @@ impl Measured {
         let mut problems: Vec<_> = failures
             .map(|(found, remedy)| (Verdict::Fail, found, remedy))
             .collect();
-        let share = self.repeated as f64 / self.turning.max(1) as f64;
+        let [gyroscope, accelerometer] = self.repeated;
+        let (repeated, sensor) = match gyroscope >= accelerometer {
+            true => (gyroscope, "gyroscope"),
+            false => (accelerometer, "accelerometer"),
+        };
+        let share = repeated as f64 / self.turning.max(1) as f64;
         let [some, most] = REPEATED;
         if self.turning >= LEAST_SAMPLES && share > some {
             let found = format!(
-                "{:.0} % of the samples in turns are the one before once more: it measures more rarely than it sends",
+                "{:.0} % of the samples in turns have the reading of its {sensor} before once more: it measures more rarely than it sends",
                 100.0 * share
             );
             let remedy = "have each reading written once, with its own stamp";
@@ -344,6 +352,14 @@ mod tests {
             "its accelerometer says (0, 0, 9.81) all along",
         );
         fails(|n| walk(n / 10 * 10), "90 % of the samples in turns");
+        fails(
+            |n| [walk(n / 10 * 10)[0], walk(n)[1]],
+            "reading of its gyroscope before once more",
+        );
+        fails(
+            |n| [walk(n)[0], walk(n / 10 * 10)[1]],
+            "reading of its accelerometer before once more",
+        );
         // One of ten was written twice.
         let twice = found(|n| walk(n - i64::from(n % 10 == 0)));
         let is_warned = |f: &Finding| f.verdict == Verdict::Warn && f.what.contains("10 % of");
