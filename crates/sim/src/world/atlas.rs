@@ -6,10 +6,12 @@ use super::canvas::Canvas;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Atlas {
     texels: Vec<u8>,
+    /// Of all textures, one after the other; of each the finest first.
+    levels: Vec<Level>,
     textures: Vec<Texture>,
 }
 
-/// One texture: where its levels begin, and how large the first is.
+/// One texture: which its levels are, and how large the first is.
 #[derive(Clone, Debug)]
 struct Texture {
     size: [f32; 2],
@@ -17,7 +19,9 @@ struct Texture {
     texels_per_m: f32,
     /// Mean brightness, 0–255.
     mean: f32,
-    levels: Vec<Level>,
+    first_level: u32,
+    /// Number of the coarsest, from 0.
+    last: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -33,9 +37,9 @@ impl Atlas {
         let (mut width, mut height) = (canvas.width, canvas.height);
         let mut values: Vec<f32> = canvas.values.clone();
         let mean = 255.0 * values.iter().sum::<f32>() / values.len() as f32;
-        let mut levels = Vec::new();
+        let first_level = self.levels.len();
         loop {
-            levels.push(Level {
+            self.levels.push(Level {
                 first: self.texels.len() as u32,
                 width: width as u32,
                 height: height as u32,
@@ -62,7 +66,8 @@ impl Atlas {
             size: [canvas.width as f32, canvas.height as f32],
             texels_per_m: 1.0 / canvas.texel_m[0].max(canvas.texel_m[1]),
             mean,
-            levels,
+            first_level: first_level as u32,
+            last: (self.levels.len() - 1 - first_level) as u32,
         });
     }
 
@@ -73,15 +78,16 @@ impl Atlas {
         let ratio = (footprint_m * texture.texels_per_m).max(1.0);
         // log2 from the bits of the float: exact at powers of two and linear between, which is all a blend needs.
         let bits = ratio.to_bits();
-        let level = ((bits >> 23) as i32 - 127) as usize;
-        let blend = (bits & 0x7f_ffff) as f32 / 8_388_608.0;
-        let last = texture.levels.len() - 1;
+        let level = (bits >> 23) - 127;
+        let blend = (bits & 0x7f_ffff) as f32 * (1.0 / 8_388_608.0);
         let (x, y) = (a * texture.size[0], b * texture.size[1]);
-        if level >= last {
-            return self.bilinear(&texture.levels[last], x, y, last);
+        let level = level.min(texture.last);
+        let first = (texture.first_level + level) as usize;
+        let fine = self.bilinear(&self.levels[first], x, y, level);
+        if level == texture.last {
+            return fine;
         }
-        let fine = self.bilinear(&texture.levels[level], x, y, level);
-        let coarse = self.bilinear(&texture.levels[level + 1], x, y, level + 1);
+        let coarse = self.bilinear(&self.levels[first + 1], x, y, level + 1);
         fine + blend * (coarse - fine)
     }
 
@@ -102,9 +108,9 @@ impl Atlas {
     }
 
     #[inline(always)]
-    fn bilinear(&self, level: &Level, x: f32, y: f32, number: usize) -> f32 {
+    fn bilinear(&self, level: &Level, x: f32, y: f32, number: u32) -> f32 {
         // Scaled by the power of two, not by the rounded size: odd sizes must not shift the picture.
-        let shrink = f32::from_bits((127 - number as u32) << 23);
+        let shrink = f32::from_bits((127 - number) << 23);
         let (w, h) = (level.width as usize, level.height as usize);
         let x = (x * shrink - 0.5).clamp(0.0, (w - 1) as f32);
         let y = (y * shrink - 0.5).clamp(0.0, (h - 1) as f32);
@@ -115,12 +121,13 @@ impl Atlas {
         );
         let (u, v) = (x - i as f32, y - j as f32);
         let k = level.first as usize + j * w + i;
-        let row = |k: usize| {
-            let pair = &self.texels[k..k + 2];
-            let left = f32::from(pair[0]);
-            left + u * (f32::from(pair[1]) - left)
+        // From the first of the four texels to the last.
+        let window = &self.texels[k..k + w + 2];
+        let row = |left: u8, right: u8| {
+            let left = f32::from(left);
+            left + u * (f32::from(right) - left)
         };
-        let (top, low) = (row(k), row(k + w));
+        let (top, low) = (row(window[0], window[1]), row(window[w], window[w + 1]));
         top + v * (low - top)
     }
 }

@@ -4,7 +4,8 @@ use wide::f32x8;
 
 use super::bounds::Bounds;
 use super::facet::Facet;
-use super::packet::{Prepared, largest};
+use super::lanes::{Eight, Job, Processor};
+use super::packet::Prepared;
 use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 
 /// Facets per leaf at most, unless they cannot be told apart by their centres.
@@ -35,6 +36,7 @@ const ANY: u8 = 2;
 #[derive(Clone, Debug)]
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
+    processor: Processor,
 }
 
 impl Bvh {
@@ -48,14 +50,18 @@ impl Bvh {
             count: 0,
         }];
         split(&mut nodes, 0, &bounds, &mut order, 0, 0);
-        (Self { nodes }, order)
+        let tree = Self {
+            nodes,
+            processor: Processor::here(),
+        };
+        (tree, order)
     }
 
     /// The nearest facet hit by each ray, seen from its front, closer than `limit`.
     pub(crate) fn cast(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> PacketHit {
         match rays.origin {
-            Origin::Shared(_) => self.traverse::<true, FRONT>(facets, &Prepared::new(rays), limit),
-            Origin::Each(_) => self.traverse::<false, FRONT>(facets, &Prepared::new(rays), limit),
+            Origin::Shared(_) => self.run::<true, FRONT>(facets, rays, limit),
+            Origin::Each(_) => self.run::<false, FRONT>(facets, rays, limit),
         }
     }
 
@@ -67,16 +73,16 @@ impl Bvh {
         limit: f32x8,
     ) -> PacketHit {
         match rays.origin {
-            Origin::Shared(_) => self.traverse::<true, EITHER>(facets, &Prepared::new(rays), limit),
-            Origin::Each(_) => self.traverse::<false, EITHER>(facets, &Prepared::new(rays), limit),
+            Origin::Shared(_) => self.run::<true, EITHER>(facets, rays, limit),
+            Origin::Each(_) => self.run::<false, EITHER>(facets, rays, limit),
         }
     }
 
     /// Lanes, from the lowest bit, that hit anything closer than `limit` from whichever side.
     pub(crate) fn any(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> u32 {
         let hit = match rays.origin {
-            Origin::Shared(_) => self.traverse::<true, ANY>(facets, &Prepared::new(rays), limit),
-            Origin::Each(_) => self.traverse::<false, ANY>(facets, &Prepared::new(rays), limit),
+            Origin::Shared(_) => self.run::<true, ANY>(facets, rays, limit),
+            Origin::Each(_) => self.run::<false, ANY>(facets, rays, limit),
         };
         let lanes = hit.facet.into_iter().enumerate();
         lanes.fold(0, |mask, (lane, facet)| {
@@ -84,53 +90,68 @@ impl Bvh {
         })
     }
 
-    fn traverse<const SHARED: bool, const WANTED: u8>(
+    fn run<const SHARED: bool, const WANTED: u8>(
         &self,
         facets: &[Facet],
-        rays: &Prepared<SHARED>,
+        rays: &RayPacket,
         limit: f32x8,
     ) -> PacketHit {
-        let mut best = limit;
-        let mut found = [NO_FACET; LANES];
         if facets.is_empty() {
-            return PacketHit {
-                distance: best,
-                facet: found,
-                carrier: [0; LANES],
-            };
+            return PacketHit::nothing(limit);
         }
+        self.processor.run(Traversal::<'_, SHARED, WANTED> {
+            nodes: &self.nodes,
+            facets,
+            rays,
+            limit,
+        })
+    }
+}
+
+/// A way through the tree.
+struct Traversal<'a, const SHARED: bool, const WANTED: u8> {
+    nodes: &'a [Node],
+    facets: &'a [Facet],
+    rays: &'a RayPacket,
+    limit: f32x8,
+}
+
+impl<const SHARED: bool, const WANTED: u8> Job for Traversal<'_, SHARED, WANTED> {
+    type Output = PacketHit;
+
+    #[inline(always)]
+    fn run_on<E: Eight>(self, eight: E) -> PacketHit {
+        let rays = Prepared::<E, SHARED>::new(eight, self.rays);
+        let mut best = eight.load(self.limit);
+        let mut found = eight.splat_index(NO_FACET);
         let mut stack = [(0_u32, 0.0_f32); MAX_DEPTH + 2];
         let mut depth = 0;
-        let mut farthest = largest(best);
+        let mut farthest = eight.largest(best);
         let mut current = 0_u32;
-        loop {
+        'all: loop {
             let node = &self.nodes[current as usize];
             if node.count > 0 {
                 let first = node.first as usize;
-                for (k, facet) in facets[first..first + node.count as usize]
+                for (k, facet) in self.facets[first..first + node.count as usize]
                     .iter()
                     .enumerate()
                 {
-                    let mask = match WANTED {
+                    let met = match WANTED {
                         FRONT => rays.meet(facet, &mut best),
                         _ => rays.meet_either(facet, &mut best),
                     };
-                    if mask != 0 {
-                        for (lane, slot) in found.iter_mut().enumerate() {
-                            if mask >> lane & 1 == 1 {
-                                *slot = (first + k) as u32;
-                            }
+                    if let Some(met) = met {
+                        let number = eight.splat_index((first + k) as u32);
+                        found = eight.select_indices(met, number, found);
+                        if WANTED == ANY {
+                            // What has hit something looks no further.
+                            best = eight.select(met, eight.splat(0.0), best);
                         }
                     }
                 }
-                if WANTED == ANY {
-                    // What has hit something looks no further.
-                    let left = f32x8::new(found.map(|f| if f == NO_FACET { 1.0 } else { 0.0 }));
-                    best *= left;
-                }
-                farthest = largest(best);
+                farthest = eight.largest(best);
                 if WANTED == ANY && farthest <= 0.0 {
-                    depth = 0;
+                    break 'all;
                 }
             } else {
                 let (left, right) = (node.first, node.first + 1);
@@ -161,11 +182,7 @@ impl Bvh {
             }
             loop {
                 if depth == 0 {
-                    return PacketHit {
-                        distance: best,
-                        facet: found,
-                        carrier: [0; LANES],
-                    };
+                    break 'all;
                 }
                 depth -= 1;
                 if stack[depth].1 <= farthest {
@@ -173,6 +190,11 @@ impl Bvh {
                     break;
                 }
             }
+        }
+        PacketHit {
+            distance: eight.store(best),
+            facet: eight.store_indices(found),
+            carrier: [0; LANES],
         }
     }
 }

@@ -21,6 +21,7 @@ mod gltf;
 mod grain;
 mod imported;
 mod irradiance;
+mod lanes;
 mod letters;
 pub(crate) mod light;
 mod lit;

@@ -135,14 +135,16 @@ impl LightMaps {
             (y as i32 as usize).min(rows - 2),
         );
         let (u, v) = (x - i as f32, y - j as f32);
-        let row = |k: usize| {
-            let pair = &self.values[k..k + 2];
-            let left = f32::from(pair[0]);
-            left + u * (f32::from(pair[1]) - left)
+        let k = first + j * columns + i;
+        // From the first of the four values to the last.
+        let window = &self.values[k..k + columns + 2];
+        let row = |left: u16, right: u16| {
+            let left = f32::from(left);
+            left + u * (f32::from(right) - left)
         };
         let (top, low) = (
-            row(first + j * columns + i),
-            row(first + (j + 1) * columns + i),
+            row(window[0], window[1]),
+            row(window[columns], window[columns + 1]),
         );
         (top + v * (low - top)) * STEP
     }
