@@ -259,7 +259,18 @@ lsfb_types::bounds! {
     }
 }
 
+/// Share of the cost by which a step lowers it less where the solution is looked at by millimetres, or solved again: positions then lie within
+/// 0.1 mm of where they would come to.
+const ROUGH_TOLERANCE: f64 = 1e-6;
+
 impl GroundTruthConfig {
+    /// For what need not be solved to the last digit.
+    pub(super) fn roughly(&self) -> Self {
+        let mut rough = self.clone();
+        rough.solve.cost_tolerance = rough.solve.cost_tolerance.max(ROUGH_TOLERANCE);
+        rough
+    }
+
     /// The IMU's noise as the optimisation takes it.
     pub(super) fn inflated(&self, noise: &ImuNoiseModel) -> ImuNoiseModel {
         let factor = self.imu_noise_factor;

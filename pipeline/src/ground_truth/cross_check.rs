@@ -136,6 +136,7 @@ pub(super) fn check_halves(
         .map(|first| first..(first + FRAMES_AT_ONCE).min(checked.len()))
         .collect();
     let (done, total) = (AtomicU64::new(0), (cores.len() * HALVES.len()) as u64);
+    let config = &config.roughly();
     let shown = Deviations::of(walk, estimate, points);
     let [limit_m, harmless_m, known_m] =
         [WEIGHED_FROM, HARMLESS, KNOWN].map(|share| share * config.max_disagreement_m);

@@ -138,6 +138,21 @@ impl GroundTruthWarning {
                 ),
             )
             .remedy("make sure that it is this place, or walk on to where the place is unmistakable"),
+            Self::FoundElsewhere {
+                away_m,
+                turn_deg,
+                absent_share,
+            } => warn(
+                "found-elsewhere",
+                "trajectory",
+                format!(
+                    "most of its images were recognised {away_m:.1} m from here and turned by {turn_deg:.0}°, where {:.0} % of what the map says \
+                     should be in view is not there; here it is",
+                    1e2 * absent_share
+                ),
+            )
+            .value(1e2 * absent_share, "%")
+            .remedy("make sure that it is this place; the map has two that look alike"),
             Self::NotAtRest {
                 rounds,
                 changing,

@@ -149,7 +149,8 @@ fn solve_walk(
     }
     let mut tracks = follow(walk, &begin, features, config, progress)?;
     let mut points = tracks.locate(walk, &begin, features, config);
-    let first = optimize(walk, &begin, &points, None, config, progress)?.estimate;
+    let rough = config.roughly();
+    let first = optimize(walk, &begin, &points, None, &rough, progress)?.estimate;
     choose_observations(walk, &first, &mut points, config);
 
     progress(Progress {
@@ -167,7 +168,7 @@ fn solve_walk(
         tracks = follow(walk, &first, features, config, progress)?;
     }
     let points = tracks.locate(walk, &first, features, config);
-    let last = optimize(walk, &first, &points, None, config, progress)?;
+    let last = optimize(walk, &first, &points, None, &rough, progress)?;
     let settled = settle(walk, last, config, ROUNDS, progress)?;
     Ok(Solved {
         last: settled.last,

@@ -243,6 +243,15 @@ pub enum GroundTruthWarning {
         /// Where.
         other: OtherPlace,
     },
+    /// Most of it was recognised at a place where what should have been in view was not there; it was solved at another, where it is.
+    FoundElsewhere {
+        /// How far that is from the place where most of it was recognised, metres.
+        away_m: f64,
+        /// How far it is turned from there, degrees.
+        turn_deg: f64,
+        /// Share of what should have been in view there that was not.
+        absent_share: f64,
+    },
     /// Observations still came or went when the rounds of choosing them and solving were done.
     NotAtRest {
         /// How many rounds.

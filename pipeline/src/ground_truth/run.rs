@@ -16,7 +16,7 @@ use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, Search};
 use super::map_agreement::MapAgreement;
-use super::other_place::Placed;
+use super::other_place::{OtherPlace, Placed};
 use super::recorded_walk::RecordedWalk;
 use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
@@ -127,12 +127,17 @@ fn solve_in_map(
             localize_near(&localizer, rig, &frame.features, near)
         })
         .collect();
-    let second = attempt.solve(&localized, Elsewhere::IsRefused);
-    second.map_err(|refused| match refused.error {
-        stopped @ Error::Stopped(_) => stopped,
-        // It is not there either: what speaks against the place where most of it was found stands.
-        _ => first.error,
-    })
+    match attempt.solve(&localized, Elsewhere::IsRefused) {
+        Ok(mut solved) => {
+            solved.report.warnings.push(there.warning());
+            Ok(solved)
+        }
+        Err(refused) => Err(match refused.error {
+            stopped @ Error::Stopped(_) => stopped,
+            // It is not there either: what speaks against the place where most of it was found stands.
+            _ => first.error,
+        }),
+    }
 }
 
 /// A walk that is refused, and where else it is, if that is where what should be in view is seen.
@@ -146,9 +151,21 @@ struct There {
     /// The recording's frame that is its first one.
     first_frame: usize,
     estimate: Estimate,
+    /// How far that is from where most of it was found.
+    place: OtherPlace,
+    /// Share of what should have been in view where most of it was found that was not there.
+    absent_share: f64,
 }
 
 impl There {
+    fn warning(&self) -> GroundTruthWarning {
+        GroundTruthWarning::FoundElsewhere {
+            away_m: self.place.away_m,
+            turn_deg: self.place.turn_deg,
+            absent_share: self.absent_share,
+        }
+    }
+
     /// Pose of the rig there at a frame of the recording; `None` outside the walk.
     fn pose(&self, frame: usize) -> Option<&Se3> {
         let own = frame.checked_sub(self.first_frame)?;
@@ -308,10 +325,12 @@ impl Attempt<'_> {
             let there = found.filter(|(other, _)| is_elsewhere && other.is_seen);
             return Err(Refused {
                 error,
-                elsewhere: there.map(|(_, estimate)| {
+                elsewhere: there.map(|(place, estimate)| {
                     Box::new(There {
                         first_frame: range.start,
                         estimate,
+                        place,
+                        absent_share: whole.absent_share(),
                     })
                 }),
             });

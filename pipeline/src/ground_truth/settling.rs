@@ -24,7 +24,7 @@ pub(super) struct Settled {
     pub unrest: Option<GroundTruthWarning>,
 }
 
-/// Chooses observations and solves in turns, `rounds` times at most.
+/// Chooses observations and solves in turns, `rounds` times at most, roughly; then to the last digit.
 pub(super) fn settle(
     walk: &mut Walk,
     mut last: Optimized,
@@ -34,49 +34,52 @@ pub(super) fn settle(
 ) -> Result<Settled, Error> {
     let mut used = config.clone();
     let mut moved = [0.0; 2];
+    let mut at_rest = false;
     for _ in 0..rounds {
         let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
         let allowing = used.inertial.allowing(&last.imu_errors);
-        let is_settled = allowing.is_none() && is_few(changed, &last);
-        if is_settled && changed == 0 {
-            return Ok(Settled::at_rest(last, used));
+        at_rest = allowing.is_none() && is_few(changed, &last);
+        if at_rest && changed == 0 {
+            break;
         }
         used.inertial = allowing.unwrap_or(used.inertial);
         let (estimate, points) = (&last.estimate, &last.points);
-        let next = optimize(walk, estimate, points, None, &used, progress)?;
+        let next = optimize(walk, estimate, points, None, &used.roughly(), progress)?;
         moved = farthest(&last.estimate, &next.estimate);
         last = next;
-        if is_settled {
-            return Ok(Settled::at_rest(last, used));
+        if at_rest {
+            break;
         }
     }
-    // Whether the last round was enough shows in what another one would change; the result stays that of the solve.
-    let (frames, mut points) = (walk.frames.clone(), last.points.clone());
-    let changing = choose_observations(walk, &last.estimate, &mut points, config);
-    walk.frames = frames;
-    let is_settled = used.inertial.allowing(&last.imu_errors).is_none() && is_few(changing, &last);
-    let [moved_m, turned_rad] = moved;
-    let unrest = (!is_settled).then(|| GroundTruthWarning::NotAtRest {
-        rounds: rounds as u64,
-        changing: changing as u64,
-        moved_m,
-        turned_deg: turned_rad.to_degrees(),
-    });
+    let unrest = match at_rest {
+        true => None,
+        false => unrest(walk, &last, (config, &used), (rounds, moved)),
+    };
+    let (estimate, points) = (&last.estimate, &last.points);
     Ok(Settled {
-        last,
+        last: optimize(walk, estimate, points, None, &used, progress)?,
         config: used,
         unrest,
     })
 }
 
-impl Settled {
-    fn at_rest(last: Optimized, config: GroundTruthConfig) -> Self {
-        Self {
-            last,
-            config,
-            unrest: None,
-        }
-    }
+/// Whether the last round was enough shows in what another one would change; the result stays that of the solve.
+fn unrest(
+    walk: &mut Walk,
+    last: &Optimized,
+    (config, used): (&GroundTruthConfig, &GroundTruthConfig),
+    (rounds, [moved_m, turned_rad]): (usize, [f64; 2]),
+) -> Option<GroundTruthWarning> {
+    let (frames, mut points) = (walk.frames.clone(), last.points.clone());
+    let changing = choose_observations(walk, &last.estimate, &mut points, config);
+    walk.frames = frames;
+    let is_settled = used.inertial.allowing(&last.imu_errors).is_none() && is_few(changing, last);
+    (!is_settled).then(|| GroundTruthWarning::NotAtRest {
+        rounds: rounds as u64,
+        changing: changing as u64,
+        moved_m,
+        turned_deg: turned_rad.to_degrees(),
+    })
 }
 
 /// Whether so few observations came or went that no pose feels it.

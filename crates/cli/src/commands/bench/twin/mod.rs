@@ -11,10 +11,12 @@ mod session;
 mod trial;
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use lsfb_sim::{Device, Look, Place};
 use serde::Serialize;
 
@@ -114,7 +116,7 @@ struct Printed<'a> {
 /// Runs what does not stand from a trial that was interrupted.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     take_folder(&arguments.out, context)?;
-    let trial = Trial {
+    let mut trial = Trial {
         out: &arguments.out,
         size: match (arguments.quick, arguments.try_out) {
             (true, _) => Size::Quick,
@@ -132,7 +134,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 false => Look::Detailed,
             },
         },
-        rigs: Mutex::default(),
+        rigs: BTreeMap::new(),
     };
     let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
     let devices = or_all(&arguments.devices, &Device::ALL);
@@ -163,7 +165,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         doored.join(",")
     );
     let last = arguments.seed.saturating_add(arguments.seeds - 1);
-    let scans = (arguments.seed..=last).flat_map(|seed| {
+    let seeds = arguments.seed..=last;
+    let scans = seeds.clone().flat_map(|seed| {
         let size = trial.size;
         places
             .iter()
@@ -172,6 +175,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let scans: Vec<Scanned> = scans.collect();
     let asked = arguments.at_once.map(usize::from);
     let at_once = asked.unwrap_or_else(|| trial.size.at_once());
+    trial.calibrate(seeds, &devices, at_once, context)?;
     let total = of_a_seed * arguments.seeds as usize;
     let (began, progress) = (Instant::now(), Mutex::new(Made::default()));
     let runs_of = |scanned: &Scanned, context: &Context| {
@@ -290,9 +294,12 @@ struct Trial<'a> {
     size: Size,
     given: Rigs,
     light: Light,
-    /// Rigs that were calibrated, by seed and name, with what that took. Whoever needs one that another calibrates waits for it.
-    rigs: Mutex<BTreeMap<(u64, &'static str), Rig>>,
+    /// Those of all seeds and bearers that walks need.
+    rigs: BTreeMap<Borne, Rig>,
 }
+
+/// A seed, and who bears the rig: a device, or the backpack.
+type Borne = (u64, Option<Device>);
 
 /// A rig, or why there is none, and what it took to calibrate.
 #[derive(Clone)]
@@ -302,29 +309,57 @@ struct Rig {
 }
 
 impl Trial<'_> {
-    /// The rig of the backpack, or of a device, as calibrated with a seed; `context` is that of who needs it first.
-    fn rig(&self, seed: u64, device: Option<Device>, context: &Context) -> anyhow::Result<Rig> {
-        let (name, bearer) = match device {
-            None => ("backpack", Bearer::Backpack),
-            Some(device) => (device.name(), Bearer::Walker),
+    /// Has the rigs of the backpack and of some devices with each seed, `at_once` of them calibrated at the same time.
+    fn calibrate(
+        &mut self,
+        seeds: RangeInclusive<u64>,
+        devices: &[Device],
+        at_once: usize,
+        context: &Context,
+    ) -> anyhow::Result<()> {
+        let bearers = |seed| {
+            let devices = devices.iter().map(move |device| (seed, Some(*device)));
+            std::iter::once((seed, None)).chain(devices)
         };
-        let mut rigs = self
-            .rigs
-            .lock()
-            .map_err(|_| anyhow::anyhow!("a calibration beside this one broke off"))?;
-        if let Some(rig) = rigs.get(&(seed, name)) {
-            return Ok(rig.clone());
+        let borne: Vec<Borne> = seeds.flat_map(bearers).collect();
+        let rigs = match (self.given, at_once) {
+            (Rigs::True, _) => each(&borne, 1, |borne| Ok(self.true_rig(*borne)))?,
+            (Rigs::Calibrated, 0 | 1) => {
+                each(&borne, 1, |borne| self.calibrated_rig(*borne, context))?
+            }
+            (Rigs::Calibrated, several) => {
+                memory::several_at_once();
+                each(&borne, several, |borne| {
+                    let (seed, device) = *borne;
+                    let name = format!("{} {seed}", bearer_name(device));
+                    self.calibrated_rig(*borne, &context.part(&name))
+                })?
+            }
+        };
+        self.rigs = borne.into_iter().zip(rigs).collect();
+        Ok(())
+    }
+
+    /// The rig of the backpack, or of a device, with a seed.
+    fn rig(&self, seed: u64, device: Option<Device>) -> anyhow::Result<Rig> {
+        let rig = self.rigs.get(&(seed, device)).cloned();
+        rig.with_context(|| format!("{} was not calibrated", bearer_name(device)))
+    }
+
+    fn true_rig(&self, (seed, device): Borne) -> Rig {
+        let config = calibration(device.unwrap_or_default(), seed, self.size);
+        Rig {
+            found: Ok(true_rig(&self.light.on(config), bearer(device))),
+            cost: None,
         }
+    }
+
+    fn calibrated_rig(&self, (seed, device): Borne, context: &Context) -> anyhow::Result<Rig> {
+        let name = bearer_name(device);
         let config = calibration(device.unwrap_or_default(), seed, self.size);
         let config = self.light.on(config);
-        if self.given == Rigs::True {
-            return Ok(Rig {
-                found: Ok(true_rig(&config, bearer)),
-                cost: None,
-            });
-        }
         let mut attempts = SESSION_LENGTHS.iter().enumerate().peekable();
-        let rig = loop {
+        loop {
             let Some((number, longer)) = attempts.next() else {
                 anyhow::bail!("no calibration session is planned");
             };
@@ -339,19 +374,28 @@ impl Trial<'_> {
             config.glasses.duration_s *= longer;
             let mut costs = Costs::open(folder.join("costs.json"));
             let found = costs.of(name, |made| {
-                calibrated(&folder, &config, bearer, || made.set(true), context)
+                calibrated(&folder, &config, bearer(device), || made.set(true), context)
             });
             let found = refusal(found, "calibration")?;
             if let (Err(why), true) = (&found, attempts.peek().is_some()) {
                 context.note(&format!("{name}: {why}; recorded again, for longer"));
                 continue;
             }
-            break Rig {
+            return Ok(Rig {
                 found,
                 cost: costs.get(name),
-            };
-        };
-        rigs.insert((seed, name), rig.clone());
-        Ok(rig)
+            });
+        }
     }
+}
+
+const fn bearer(device: Option<Device>) -> Bearer {
+    match device {
+        None => Bearer::Backpack,
+        Some(_) => Bearer::Walker,
+    }
+}
+
+fn bearer_name(device: Option<Device>) -> &'static str {
+    device.map_or("backpack", Device::name)
 }

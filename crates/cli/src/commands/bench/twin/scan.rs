@@ -57,7 +57,7 @@ impl<'a> Scan<'a> {
     /// The rig of the backpack, or of a device.
     fn rig(&self, device: Option<Device>) -> anyhow::Result<Rig> {
         let seed = self.session.scanned.seed;
-        self.trial.rig(seed, device, self.session.context)
+        self.trial.rig(seed, device)
     }
 
     /// Records the scan and the walks that do not stand: those of one world after another, so that it is built once.
