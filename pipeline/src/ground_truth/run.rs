@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use lsfb_geometry::{Se3, Trajectory};
 use lsfb_recording::Recording;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
 use super::accel_axes::misread_axis;
@@ -308,7 +308,14 @@ impl Attempt<'_> {
         };
         let is_elsewhere = elsewhere == Elsewhere::IsTried && whole.is_doubtful(config);
         let found = match refusal.is_none() || is_elsewhere {
-            true => placed.other_place(localizer, config),
+            true => {
+                progress(Progress {
+                    stage: "other places",
+                    done: 0,
+                    total: 0,
+                })?;
+                placed.other_place(localizer, config)
+            }
             false => None,
         };
         let other_place = found.as_ref().map(|(other, _)| *other);

@@ -358,7 +358,8 @@ fn look_at_scans(
             done += 1;
             // Damaged ones are told by the stages before.
             let Ok(scan) = scan else { return Ok(()) };
-            let is_near = asked.is_some_and(|before| scan.time.secs_since(before) < ASKED_APART_S);
+            let is_near = asked
+                .is_some_and(|before| (0.0..ASKED_APART_S).contains(&scan.time.secs_since(before)));
             if is_near {
                 times.extend(world_from_rig.at(scan.time).map(|_| scan.time));
             } else if builder.insert(&scan, world_from_rig) {
