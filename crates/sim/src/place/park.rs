@@ -70,7 +70,8 @@ fn grounds(site: &mut Site) {
             [0.0, y[1] - y[0], 0.0],
         )
     };
-    let (a, b, c) = flat([-60.0, PARK_M + 60.0], [-60.0, PARK_M + 60.0], 0.0);
+    // Under the floors of the houses, not in their plane: which of two a ray meets would be chance.
+    let (a, b, c) = flat([-60.0, PARK_M + 60.0], [-60.0, PARK_M + 60.0], -0.012);
     out.quad(a, b, c, Material::ASPHALT);
     // The plaza in the middle, in fields, so that each has its own piece of pavement.
     for i in 0..4 {

@@ -3,6 +3,7 @@ use crate::Simulation;
 use crate::config::Device;
 use crate::simulation::RigSim;
 use crate::walk::{PaperMotion, Walk};
+use crate::world::Facet;
 use lsfb_types::no_progress;
 
 fn coarse(place: Place) -> SimConfig {
@@ -32,6 +33,23 @@ fn nearest_m(world: &World, walk: &Walk) -> (f32, [f32; 3]) {
         }
     }
     nearest
+}
+
+/// Which of two surfaces in one plane is met is chance.
+#[test]
+fn nothing_lies_in_the_plane_of_the_ground() {
+    for place in [Place::HousePark, Place::OfficePark] {
+        let simulation = Simulation::new(&coarse(place), &no_progress).expect("valid");
+        let facets = simulation.world().facets().iter();
+        let level: Vec<&Facet> = facets.filter(|f| f.normal[2] > 0.999).collect();
+        let area = |f: &Facet| f.edge_a[0].hypot(f.edge_a[1]) * f.edge_b[0].hypot(f.edge_b[1]);
+        let ground = level.iter().max_by(|a, b| area(a).total_cmp(&area(b)));
+        let ground = ground.expect("there is ground");
+        let in_its_plane = level
+            .iter()
+            .filter(|f| (f.offset - ground.offset).abs() < 5e-3);
+        assert_eq!(in_its_plane.count(), 1, "{place:?}");
+    }
 }
 
 #[test]
