@@ -19,17 +19,21 @@ WITHIN = {3: 7.815, 6: 12.592}
 
 
 def poses(path):
-    rows = np.loadtxt(path)
+    rows = np.loadtxt(path, ndmin=2)
     return rows[:, 0], rows[:, 1:4], Rotation.from_quat(rows[:, 4:8])
+
+
+def placed(truth, times):
+    """Positions and attitudes of a trajectory at times; those outside it are left out, and which remain is said."""
+    within = (times >= truth[0][0]) & (times <= truth[0][-1])
+    seen = times[within]
+    return within, np.column_stack([np.interp(seen, truth[0], truth[1][:, i]) for i in range(3)]), Slerp(truth[0], truth[2])(seen)
 
 
 def laid_on(estimate, truth):
     """Rotation and shift that lay the positions of one trajectory on those of another."""
-    times, places, _ = estimate
-    after = np.searchsorted(truth[0], times).clip(1, len(truth[0]) - 1)
-    near = np.where(abs(truth[0][after - 1] - times) < abs(truth[0][after] - times), after - 1, after)
-    both = abs(truth[0][near] - times) < 2e-3
-    own, other = places[both], truth[1][near][both]
+    within, other, _ = placed(truth, estimate[0])
+    own = estimate[1][within]
     u, _, vt = np.linalg.svd((own - own.mean(0)).T @ (other - other.mean(0)))
     turn = vt.T @ np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
     return turn, other.mean(0) - turn @ own.mean(0)
@@ -46,19 +50,19 @@ for trial in sys.argv[1:]:
         scan = poses(f"{os.path.dirname(folder)}/scan.tum")
         turn, shift = laid_on(scan, poses(f"{folder}/truth/truth_scan.tum"))
         times, places, attitudes = poses(path)
-        true_times, true_places, true_attitudes = poses(f"{folder}/truth/truth_walk.tum")
-        seen = times.clip(true_times[0], true_times[-1])
-        there = np.column_stack([np.interp(seen, true_times, true_places[:, i]) for i in range(3)])
+        within, there, true_attitudes = placed(poses(f"{folder}/truth/truth_walk.tum"), times)
         # In the map's world, as the covariances are.
-        off = (there - (places @ turn.T + shift)) @ turn
-        turned = (Slerp(true_times, true_attitudes)(seen) * (Rotation.from_matrix(turn) * attitudes).inv()).as_rotvec() @ turn
-        stated = np.loadtxt(path)[:, 8:44].reshape(-1, 6, 6)
+        off = (there - (places[within] @ turn.T + shift)) @ turn
+        turned = (true_attitudes * (Rotation.from_matrix(turn) * attitudes[within]).inv()).as_rotvec() @ turn
+        stated = np.loadtxt(path, ndmin=2)[within, 8:44].reshape(-1, 6, 6)
         found = {3: squared(off, stated[:, :3, :3]), 6: squared(np.hstack([off, turned]), stated)}
         for freedom, values in found.items():
             shares[freedom].append(np.mean(values < WITHIN[freedom]))
         sigma = np.sqrt(np.trace(stated[:, :3, :3], axis1=1, axis2=2).mean())
         print(
-            f"{os.path.relpath(folder, trial):40} {len(times):4} poses, {100 * np.sqrt((off**2).sum(1).mean()):5.2f} cm off, σ {100 * sigma:5.2f} cm;"
+            f"{os.path.relpath(folder, trial):40} {len(off):4} poses, {100 * np.sqrt((off**2).sum(1).mean()):5.2f} cm off, σ {100 * sigma:5.2f} cm;"
             f" positions {found[3].mean() / 3:5.2f}, {100 * shares[3][-1]:5.1f} % within; poses {found[6].mean() / 6:5.2f}, {100 * shares[6][-1]:5.1f} %"
         )
+if not shares[6]:
+    sys.exit("no walk has a covariance there: name folders of `lsfb bench twin`")
 print(f"{len(shares[6])} walks: positions {100 * np.mean(shares[3]):.1f} %, poses {100 * np.mean(shares[6]):.1f} % within the region of 95 %")

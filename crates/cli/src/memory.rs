@@ -1,7 +1,7 @@
 //! How much memory this process takes, and how much there is.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nix::sys::resource::{UsageWho, getrusage};
 
@@ -11,18 +11,29 @@ pub fn peak_rss_mb() -> f64 {
     getrusage(UsageWho::RUSAGE_SELF).map_or(f64::NAN, |usage| usage.max_rss() as f64 * 1024.0 / 1e6)
 }
 
-/// Whether stages run beside one another.
-static SEVERAL: AtomicBool = AtomicBool::new(false);
+/// In how many ways stages run beside one another.
+static BESIDE: AtomicUsize = AtomicUsize::new(0);
 
-/// From now on stages run beside one another, and none may forget what another held.
-pub fn several_at_once() {
-    SEVERAL.store(true, Ordering::Relaxed);
+/// While it lives, stages run beside one another, and none may forget what another held.
+pub struct Beside(());
+
+impl Beside {
+    pub fn begin() -> Self {
+        BESIDE.fetch_add(1, Ordering::Relaxed);
+        Self(())
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        BESIDE.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 /// Counts the peak from now on, where the kernel can (`proc(5)`, `clear_refs`) and nothing runs beside; elsewhere it stays that of the whole
 /// process.
 pub fn forget_peak() {
-    if SEVERAL.load(Ordering::Relaxed) {
+    if BESIDE.load(Ordering::Relaxed) > 0 {
         return;
     }
     // What cannot be reset is an upper limit.

@@ -16,7 +16,7 @@ use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, Search};
 use super::map_agreement::MapAgreement;
-use super::other_place::{OtherPlace, Placed};
+use super::other_place::Placed;
 use super::recorded_walk::RecordedWalk;
 use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
@@ -129,7 +129,7 @@ fn solve_in_map(
         .collect();
     match attempt.solve(&localized, Elsewhere::IsRefused) {
         Ok(mut solved) => {
-            solved.report.warnings.push(there.warning());
+            solved.report.warnings.push(there.warning.clone());
             Ok(solved)
         }
         Err(refused) => Err(match refused.error {
@@ -151,21 +151,11 @@ struct There {
     /// The recording's frame that is its first one.
     first_frame: usize,
     estimate: Estimate,
-    /// How far that is from where most of it was found.
-    place: OtherPlace,
-    /// Share of what should have been in view where most of it was found that was not there.
-    absent_share: f64,
+    /// What is to be said of a walk that was solved there.
+    warning: GroundTruthWarning,
 }
 
 impl There {
-    fn warning(&self) -> GroundTruthWarning {
-        GroundTruthWarning::FoundElsewhere {
-            away_m: self.place.away_m,
-            turn_deg: self.place.turn_deg,
-            absent_share: self.absent_share,
-        }
-    }
-
     /// Pose of the rig there at a frame of the recording; `None` outside the walk.
     fn pose(&self, frame: usize) -> Option<&Se3> {
         let own = frame.checked_sub(self.first_frame)?;
@@ -336,8 +326,11 @@ impl Attempt<'_> {
                     Box::new(There {
                         first_frame: range.start,
                         estimate,
-                        place,
-                        absent_share: whole.absent_share(),
+                        warning: GroundTruthWarning::FoundElsewhere {
+                            away_m: place.away_m,
+                            turn_deg: place.turn_deg,
+                            absent_share: whole.absent_share(),
+                        },
                     })
                 }),
             });

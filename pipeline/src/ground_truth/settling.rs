@@ -39,7 +39,7 @@ pub(super) fn settle(
         let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
         let allowing = used.inertial.allowing(&last.imu_errors);
         at_rest = allowing.is_none() && is_few(changed, &last);
-        if at_rest && changed == 0 {
+        if at_rest {
             break;
         }
         used.inertial = allowing.unwrap_or(used.inertial);
@@ -47,9 +47,6 @@ pub(super) fn settle(
         let next = optimize(walk, estimate, points, None, &used.roughly(), progress)?;
         moved = farthest(&last.estimate, &next.estimate);
         last = next;
-        if at_rest {
-            break;
-        }
     }
     let unrest = match at_rest {
         true => None,

@@ -30,7 +30,7 @@ use std::collections::BTreeMap;
 use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
-use lsfb_types::{Finding, Progress, ProgressFn, Timestamp, Verdict};
+use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use sha2::{Digest, Sha256};
 
 use crate::bending::bent;
@@ -321,9 +321,6 @@ const USUAL_GAP_S: f64 = 1.0;
 /// Scans may be rarer where they always are.
 const USUAL_PERIODS: f64 = 5.0;
 
-/// Scans this near to one that was asked see what it saw, seconds.
-const ASKED_APART_S: f64 = 0.15;
-
 /// When a time without a scan began, and how long it was, seconds.
 type Gap = (f64, f64);
 
@@ -344,8 +341,7 @@ fn look_at_scans(
         return Ok((None, None));
     };
     let total = scan_count(recording);
-    let mut times: Vec<Timestamp> = Vec::new();
-    let mut asked: Option<Timestamp> = None;
+    let mut times = Vec::new();
     let mut done = 0;
     read_ahead(
         || recording.scans(),
@@ -357,15 +353,9 @@ fn look_at_scans(
             })?;
             done += 1;
             // Damaged ones are told by the stages before.
-            let Ok(scan) = scan else { return Ok(()) };
-            let is_near = asked
-                .is_some_and(|before| (0.0..ASKED_APART_S).contains(&scan.time.secs_since(before)));
-            if is_near {
-                times.extend(world_from_rig.at(scan.time).map(|_| scan.time));
-            } else if builder.insert(&scan, world_from_rig) {
-                times.push(scan.time);
-                asked = Some(scan.time);
-            }
+            let whole = scan.ok();
+            let inserted = whole.filter(|scan| builder.insert(scan, world_from_rig));
+            times.extend(inserted.map(|scan| scan.time));
             Ok(())
         },
     )?;

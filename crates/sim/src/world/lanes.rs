@@ -25,9 +25,9 @@ pub(super) trait Eight: Copy {
     fn sub(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
     fn mul(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
     fn div(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
-    /// `b` where either is no number.
+    /// Of numbers; where one of two is none, which comes back is the processor's choice.
     fn min(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
-    /// `b` where either is no number.
+    /// Likewise.
     fn max(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
     /// The smallest of eight, all of them numbers.
     fn smallest(self, values: Self::Numbers) -> f32;

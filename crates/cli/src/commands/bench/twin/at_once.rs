@@ -4,7 +4,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::trial::Size;
-use crate::memory;
+use crate::context::Context;
+use crate::memory::{self, Beside};
 
 impl Size {
     /// The most memory that a place takes, megabytes.
@@ -23,9 +24,28 @@ impl Size {
     }
 }
 
+/// [`each`] as parts of the command that run beside one another, if there are several: what each shows begins with its name.
+pub fn each_part<T: Sync, R: Send>(
+    items: &[T],
+    at_once: usize,
+    context: &Context,
+    name: impl Fn(&T) -> String + Sync,
+    work: impl Fn(&T, &Context) -> anyhow::Result<R> + Sync,
+) -> anyhow::Result<Vec<R>> {
+    match at_once.min(items.len()) {
+        0 | 1 => each(items, 1, |item| work(item, context)),
+        several => {
+            let _beside = Beside::begin();
+            each(items, several, |item| {
+                work(item, &context.part(&name(item)))
+            })
+        }
+    }
+}
+
 /// What `work` gives for each of `items`, in their order, `count` of them at the same time. After an error no other is begun, and the first is
 /// returned.
-pub fn each<T: Sync, R: Send>(
+fn each<T: Sync, R: Send>(
     items: &[T],
     count: usize,
     work: impl Fn(&T) -> anyhow::Result<R> + Sync,

@@ -23,9 +23,8 @@ use serde::Serialize;
 use crate::commands::sim::device;
 use crate::context::Context;
 use crate::judged::{self, Judged};
-use crate::memory;
 use crate::outcome::Outcome;
-use at_once::each;
+use at_once::each_part;
 use cost::{Cost, Costs};
 use result::Run;
 pub use result::WRONG_M;
@@ -206,16 +205,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         Ok(runs)
     };
-    let runs = match at_once.min(scans.len()) {
-        0 | 1 => each(&scans, 1, |scanned| runs_of(scanned, context))?,
-        several => {
-            memory::several_at_once();
-            each(&scans, several, |scanned| {
-                let name = format!("{} {}", scanned.place.name(), scanned.seed);
-                runs_of(scanned, &context.part(&name))
-            })?
-        }
-    };
+    let name = |scanned: &Scanned| format!("{} {}", scanned.place.name(), scanned.seed);
+    let runs = each_part(&scans, at_once, context, name, runs_of)?;
     let runs = runs.concat();
     finish(&arguments.out, &runs, context)
 }
@@ -322,19 +313,12 @@ impl Trial<'_> {
             std::iter::once((seed, None)).chain(devices)
         };
         let borne: Vec<Borne> = seeds.flat_map(bearers).collect();
-        let rigs = match (self.given, at_once) {
-            (Rigs::True, _) => each(&borne, 1, |borne| Ok(self.true_rig(*borne)))?,
-            (Rigs::Calibrated, 0 | 1) => {
-                each(&borne, 1, |borne| self.calibrated_rig(*borne, context))?
-            }
-            (Rigs::Calibrated, several) => {
-                memory::several_at_once();
-                each(&borne, several, |borne| {
-                    let (seed, device) = *borne;
-                    let name = format!("{} {seed}", bearer_name(device));
-                    self.calibrated_rig(*borne, &context.part(&name))
-                })?
-            }
+        let name = |(seed, device): &Borne| format!("{} {seed}", bearer_name(*device));
+        let rigs: Vec<Rig> = match self.given {
+            Rigs::True => borne.iter().map(|borne| self.true_rig(*borne)).collect(),
+            Rigs::Calibrated => each_part(&borne, at_once, context, name, |borne, context| {
+                self.calibrated_rig(*borne, context)
+            })?,
         };
         self.rigs = borne.into_iter().zip(rigs).collect();
         Ok(())
