@@ -2,7 +2,7 @@
 //!
 //! Beside the scanner's path, or behind somebody who stands there, a point that is where it was mapped may be hidden. The walk says so: what it
 //! sees around the point's pixel is nearer than the point. Where it sees things as far away as the point, or farther, or nothing at all, nothing
-//! hides it.
+//! hides it. Where all it sees is farther, what stood there has gone.
 
 use std::collections::BTreeMap;
 
@@ -69,8 +69,8 @@ impl Sights {
         Self { by_image }
     }
 
-    /// Whether half or more of what an image shows around a pixel is in front of what is so far away there.
-    pub fn hide(&self, frame: usize, camera: usize, pixel: &Vector2<f64>, away_m: f64) -> bool {
+    /// What an image shows around a pixel, beside something that is so far away there.
+    pub fn around(&self, frame: usize, camera: usize, pixel: &Vector2<f64>, away_m: f64) -> Around {
         let sights = self.by_image.get(&(frame, camera)).into_iter().flatten();
         let mut around: Vec<(f64, f64)> = sights
             .map(|sight| ((sight.pixel - pixel).norm(), sight.away_m))
@@ -79,7 +79,27 @@ impl Sights {
         around.sort_by(|a, b| a.0.total_cmp(&b.0));
         around.truncate(NEIGHBOURS);
         let in_front = around.iter().filter(|s| s.1 < IN_FRONT_SHARE * away_m);
-        2 * in_front.count() >= around.len().max(1)
+        let behind = around.iter().filter(|s| away_m < IN_FRONT_SHARE * s.1);
+        Around {
+            in_front: in_front.count(),
+            behind: behind.count(),
+            all: around.len(),
+        }
+    }
+}
+
+/// How much of what is nearest to a pixel is in front of something, and how much behind it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Around {
+    pub in_front: usize,
+    pub behind: usize,
+    pub all: usize,
+}
+
+impl Around {
+    /// Whether half or more of it is in front.
+    pub fn hides(&self) -> bool {
+        2 * self.in_front >= self.all.max(1)
     }
 }
 
@@ -87,13 +107,29 @@ impl Sights {
 mod tests {
     use super::*;
 
-    fn hides(sights: &[(f64, f64)]) -> bool {
+    fn around(sights: &[(f64, f64)]) -> Around {
         let sights = sights.iter().map(|&(x, away_m)| Sight {
             pixel: Vector2::new(x, 100.0),
             away_m,
         });
         let by_image = BTreeMap::from([((3, 1), sights.collect())]);
-        Sights { by_image }.hide(3, 1, &Vector2::new(100.0, 100.0), 10.0)
+        Sights { by_image }.around(3, 1, &Vector2::new(100.0, 100.0), 10.0)
+    }
+
+    fn hides(sights: &[(f64, f64)]) -> bool {
+        around(sights).hides()
+    }
+
+    #[test]
+    fn what_is_behind_is_seen_through_where_a_thing_was() {
+        let seen = around(&[(110.0, 4.0), (90.0, 10.1), (105.0, 12.0), (99.0, 11.5)]);
+        let expected = Around {
+            in_front: 1,
+            behind: 2,
+            all: 4,
+        };
+        assert_eq!(seen, expected);
+        assert_eq!(around(&[]), Around::default());
     }
 
     /// Of 53 points of a right walk that had nearer things around them a quarter was found, as of points that are not there; of the others 82 %.

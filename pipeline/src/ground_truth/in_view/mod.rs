@@ -10,6 +10,9 @@
 //! with many points on it. So points are judged by cells as large as things are. Points that are few and far between, on plain walls and where
 //! edges cross in the image alone, are the least sure ones and on no thing. How much a point says depends on how surely it is found where it is
 //! there, and what a cell says is limited: a screen with a hundred points on it is one thing.
+//!
+//! Who stood there during the scan and has gone since is seen through: what the walk sees around those points is behind them. That says nothing
+//! about the place, where another picture on the same wall does.
 
 mod expected;
 mod hidden;
@@ -29,7 +32,7 @@ use crate::features::matching::{DESCRIPTOR_NORM, distance_squared};
 use crate::features::{Features, KeypointGrid};
 use crate::hd_map::HdMap;
 use expected::Views;
-use hidden::Sights;
+use hidden::{Around, Sights};
 use share::Expected;
 
 /// Time about which one judgement is made, seconds.
@@ -57,6 +60,8 @@ const FOUND_WHERE_ABSENT: f64 = 0.25;
 const LIKELIER: f64 = 20.0;
 /// What a cell says counts up to here, as a logarithm of that.
 const MOST_OF_CELL: f64 = 8.0;
+/// A cell is seen through where this share of what is around its points is behind them. Of cells that are there half is at most.
+const SEEN_THROUGH_SHARE: f64 = 0.65;
 /// A stretch is judged by what so many cells say at least.
 const FEWEST_CELLS: f64 = 4.0;
 
@@ -177,8 +182,8 @@ struct Look {
     point: u32,
     in_place: Option<u32>,
     beside: Option<u32>,
-    /// Whether the walk sees something in front of it.
-    is_hidden: bool,
+    /// What the walk sees around it.
+    around: Around,
     /// As [`Views::size`] and [`Views::aside_rad`] have it.
     size: f64,
     aside_rad: f64,
@@ -260,7 +265,7 @@ impl<'a> Search<'a> {
                     point,
                     size: self.views.size(point, away_m, lens.focal_px()[0]),
                     aside_rad: self.views.aside_rad(point, &centre),
-                    is_hidden: self.sights.hide(k, camera, &pixel, away_m),
+                    around: self.sights.around(k, camera, &pixel, away_m),
                     in_place: nearest(pixel, point),
                     beside: aside.into_iter().filter_map(|at| nearest(at, point)).min(),
                 }
@@ -275,6 +280,9 @@ struct Sought {
     point_in_world: Vector3<f64>,
     expected: Expected,
     is_found: bool,
+    /// How much the walk sees around it in all looks, and how much of that is behind it.
+    around: usize,
+    behind: usize,
 }
 
 impl Sought {
@@ -297,7 +305,7 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
     let mut sought: Vec<Sought> = by_point
         .into_iter()
         .filter(|(_, looks)| looks.len() >= FEWEST_LOOKS)
-        .filter(|(_, looks)| 2 * looks.iter().filter(|l| l.is_hidden).count() <= looks.len())
+        .filter(|(_, looks)| 2 * looks.iter().filter(|l| l.around.hides()).count() <= looks.len())
         .filter_map(|(point, looks)| {
             let in_place = looks.iter().filter_map(|look| look.in_place).min();
             let beside = looks.iter().filter_map(|look| look.beside).min();
@@ -310,6 +318,8 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
                     spread_per_image: spread(map, point),
                 },
                 is_found: in_place.is_some_and(is_better),
+                behind: looks.iter().map(|look| look.around.behind).sum(),
+                around: looks.iter().map(|look| look.around.all).sum(),
             })
         })
         .collect();
@@ -355,10 +365,20 @@ fn judge_cells(sought: &mut [Sought], found: &mut InView) {
         return;
     }
     let sum: f64 = sought.iter().map(Sought::likelihood).sum();
+    if sum < 0.0 && is_seen_through(sought) {
+        return;
+    }
     let said = sum.clamp(-MOST_OF_CELL, MOST_OF_CELL);
     found.there += said.max(0.0);
     found.absent += (-said).max(0.0);
     found.most_absent = found.most_absent.max(-said);
+}
+
+/// Whether what the walk sees around these points is behind them: where they were mapped nothing is any more.
+fn is_seen_through(sought: &[Sought]) -> bool {
+    let behind: usize = sought.iter().map(|s| s.behind).sum();
+    let around: usize = sought.iter().map(|s| s.around).sum();
+    behind as f64 >= SEEN_THROUGH_SHARE * around.max(1) as f64
 }
 
 #[cfg(test)]
@@ -374,6 +394,8 @@ mod tests {
                 spread_per_image: 0.05,
             },
             is_found,
+            around: 20,
+            behind: 4,
         }
     }
 
@@ -406,6 +428,17 @@ mod tests {
                 .chain(thing(5.0, true)),
         );
         assert!((two.absent_share() - 0.5).abs() < 1e-9, "{two:?}");
+    }
+
+    /// In an atrium three right walks were refused for the four people who had stood there while it was scanned.
+    #[test]
+    fn who_has_gone_says_nothing() {
+        let absent = |behind: usize| {
+            let away = thing(0.0, false).chain(thing(3.0, false));
+            judged(away.map(|point| Sought { behind, ..point })).absent
+        };
+        assert_eq!(absent(15), 0.0);
+        assert_eq!(absent(10), 2.0 * MOST_OF_CELL);
     }
 
     /// On the plain walls of an atrium, and where edges cross in the image alone, one point in two metres was not found again, and right walks were
