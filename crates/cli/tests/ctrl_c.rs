@@ -3,6 +3,7 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use lsfb_drivers::transport::udp_sender::UdpSender;
@@ -123,9 +124,17 @@ impl Drop for Scan {
     }
 }
 
+/// Ports below those that the kernel gives to sockets that ask for any: another test's socket would have them before the recorder does.
 fn free_ports() -> [u16; 2] {
-    let sockets = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").expect("socket"));
-    sockets.map(|socket| socket.local_addr().expect("address").port())
+    static NEXT: AtomicU16 = AtomicU16::new(21_000);
+    [0; 2].map(|_| {
+        loop {
+            let port = NEXT.fetch_add(1, Ordering::Relaxed);
+            if UdpSocket::bind(("127.0.0.1", port)).is_ok() {
+                return port;
+            }
+        }
+    })
 }
 
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
