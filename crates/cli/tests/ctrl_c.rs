@@ -1,9 +1,8 @@
 //! `lsfb scan` that is told to stop, and `lsfb scan` that is killed.
 
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use lsfb_drivers::transport::udp_sender::UdpSender;
@@ -11,6 +10,8 @@ use lsfb_recording::{LIDAR_POSITION, Recording};
 use lsfb_tests::velodyne::{data_packet, data_time_us, position_packet};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+
+use crate::simulated_session::Ports;
 
 /// Whatever takes this long has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -31,7 +32,8 @@ struct Scan {
 impl Scan {
     fn start() -> Self {
         let folder = tempfile::tempdir().expect("folder");
-        let ports = free_ports();
+        let Ports([data, position, _]) = Ports::free();
+        let ports = [data, position];
         let address = |port: u16| SocketAddr::from(([127, 0, 0, 1], port));
         let [data, position] = ports.map(address);
         let devices = folder.path().join("devices.toml");
@@ -122,19 +124,6 @@ impl Drop for Scan {
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
-}
-
-/// Ports below those that the kernel gives to sockets that ask for any: another test's socket would have them before the recorder does.
-fn free_ports() -> [u16; 2] {
-    static NEXT: AtomicU16 = AtomicU16::new(21_000);
-    [0; 2].map(|_| {
-        loop {
-            let port = NEXT.fetch_add(1, Ordering::Relaxed);
-            if UdpSocket::bind(("127.0.0.1", port)).is_ok() {
-                return port;
-            }
-        }
-    })
 }
 
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
