@@ -1,6 +1,6 @@
 use lsfb_geometry::ImuNoiseModel;
 use lsfb_solver::SolveConfig;
-use lsfb_types::Bounds;
+use lsfb_types::{Bounds, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::features::matching::MatchConfig;
@@ -125,6 +125,9 @@ pub struct InertialPriors {
     pub map_scale_sigma: f64,
     /// Standard deviation of gravity's size about the standard, m/s².
     pub gravity_size_sigma_m_s2: f64,
+    /// Times about which its biases may change by more than its noise says; the walk itself tells them.
+    #[serde(skip)]
+    pub bias_changes: Vec<Timestamp>,
 }
 
 impl Default for InertialPriors {
@@ -142,6 +145,7 @@ impl Default for InertialPriors {
             map_scale_sigma: 3e-3,
             // Between pole and equator it differs by 0.05.
             gravity_size_sigma_m_s2: 0.02,
+            bias_changes: Vec::new(),
         }
     }
 }
@@ -155,6 +159,7 @@ lsfb_types::bounds! {
         accel_delay_sigma_s: number(Bounds::POSITIVE),
         map_scale_sigma: number(Bounds::POSITIVE),
         gravity_size_sigma_m_s2: number(Bounds::POSITIVE),
+        bias_changes: any,
     }
 }
 

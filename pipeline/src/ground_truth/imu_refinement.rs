@@ -7,6 +7,7 @@ use super::GroundTruthConfig;
 use super::config::{InertialPriors, UNLIKELY_SIGMAS};
 use super::imu_agreement::left_sigmas;
 use super::imu_swing::{ImuSwing, LARGEST_SWING, Swinging, swing};
+use super::imu_wander::{BiasChange, BiasWander};
 use super::optimization::Optimized;
 use super::walk::Walk;
 use crate::Error;
@@ -43,6 +44,8 @@ pub struct ImuRefinement {
     pub accel_delay_s: f64,
     /// Largest of these in the standard deviations that the settings give them.
     pub imu_error_sigmas: f64,
+    /// The most that its biases change in a while.
+    pub bias_wander: BiasWander,
     /// Root mean square of what images and IMU then still differ by, in standard deviations of its noise as the rig file states it.
     pub imu_left_sigmas: f64,
     /// At which frequency images contradict it most; nothing where that cannot be told.
@@ -65,6 +68,7 @@ impl ImuRefinement {
             accel_turn_deg: errors.accel_turn_rad.map(f64::to_degrees).into(),
             accel_delay_s: errors.accel_delay_s,
             imu_error_sigmas: config.inertial.sigmas_of(errors),
+            bias_wander: BiasWander::of(walk, &solved.estimate.states),
             imu_left_sigmas: left_sigmas(walk, solved)? * config.imu_noise_factor,
             imu_swing: swing(walk, solved, config)?,
         })
@@ -77,13 +81,41 @@ impl ImuRefinement {
     }
 
     /// Everything that was looked at, good or not.
-    pub(super) fn findings(&self) -> [Finding; 4] {
+    pub(super) fn findings(&self) -> [Finding; 5] {
         [
             self.of_gravity(),
             self.of_errors(),
+            self.of_wander(),
             self.of_what_is_left(),
             self.of_swing(),
         ]
+    }
+
+    /// Biases that change more than the noise of them allows.
+    fn of_wander(&self) -> Finding {
+        let BiasWander { gyro, accel } = self.bias_wander;
+        let at = |change: &BiasChange| {
+            format!(
+                "within {:.1} s about {:.1} s into the walk",
+                change.within_secs, change.at_secs
+            )
+        };
+        let what = format!(
+            "the gyroscope's bias changes by {:.3} °/s {}, the accelerometer's by {:.3} m/s² {}: {:.1} and {:.1} standard deviations of what their \
+             noise allows; the motion is computed with such changes",
+            gyro.change.to_degrees().abs(),
+            at(&gyro),
+            accel.change.abs(),
+            at(&accel),
+            gyro.sigmas,
+            accel.sigmas
+        );
+        let largest = gyro.sigmas.max(accel.sigmas);
+        let limit = Limit::AtMost(UNLIKELY_SIGMAS);
+        Finding::new("imu-wander", Verdict::Warn.unless(limit.holds(largest)), "IMU", what)
+            .value(largest, "")
+            .limit(limit)
+            .remedy("let the device warm up and do not knock it; or state in the rig file how much its biases wander")
     }
 
     /// What swings in samples and not in images.

@@ -4,6 +4,7 @@ use lsfb_geometry::{Se3, Vector3};
 use lsfb_solver::{Block, Kernel, Problem, VectorPrior};
 
 use super::GroundTruthConfig;
+use super::imu_wander::room_to_wander;
 use super::walk::{FrameState, Walk};
 use nalgebra::{SVector, Vector1, Vector6};
 
@@ -167,12 +168,13 @@ pub(super) fn add_inertial_residuals(
         let duration_secs = walk.frames[frame + 1]
             .time
             .secs_since(walk.frames[frame].time);
+        let room = room_to_wander(walk, frame, &config.inertial);
         for (from, to, walk_per_sqrt_s) in [
             (a.gyro_bias, b.gyro_bias, walk.noise.gyro_bias_walk),
             (a.accel_bias, b.accel_bias, walk.noise.accel_bias_walk),
         ] {
             let wander = BiasWalk {
-                walk_per_sqrt_s,
+                walk_per_sqrt_s: room * walk_per_sqrt_s,
                 duration_secs,
             };
             problem.add_residual(wander, &[from.id(), to.id()], Kernel::Squared)?;

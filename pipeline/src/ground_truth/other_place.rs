@@ -126,7 +126,7 @@ mod tests {
             points: 100,
             there,
             absent,
-            most_absent: 0.0,
+            ..InView::default()
         }
     }
 

@@ -4,7 +4,9 @@ use lsfb_geometry::so3;
 use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
+use super::config::InertialPriors;
 use super::estimate::Estimate;
+use super::imu_wander::next_change;
 use super::optimization::{Optimized, choose_observations, optimize};
 use super::report::GroundTruthWarning;
 use super::walk::Walk;
@@ -37,12 +39,12 @@ pub(super) fn settle(
     let mut at_rest = false;
     for _ in 0..rounds {
         let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
-        let allowing = used.inertial.allowing(&last.imu_errors);
-        at_rest = allowing.is_none() && is_few(changed, &last);
+        let allowed = allowing(walk, &last, &used);
+        at_rest = allowed.is_none() && is_few(changed, &last);
         if at_rest {
             break;
         }
-        used.inertial = allowing.unwrap_or(used.inertial);
+        used.inertial = allowed.unwrap_or(used.inertial);
         let (estimate, points) = (&last.estimate, &last.points);
         let next = optimize(walk, estimate, points, None, &used.roughly(), progress)?;
         moved = farthest(&last.estimate, &next.estimate);
@@ -60,6 +62,18 @@ pub(super) fn settle(
     })
 }
 
+/// What is to be taken for known of the IMU instead, where what was is unlikely after a solve.
+fn allowing(walk: &Walk, solved: &Optimized, used: &GroundTruthConfig) -> Option<InertialPriors> {
+    let known = &used.inertial;
+    // Errors that stay the same, and a map of another scale, pull at the biases too.
+    known.allowing(&solved.imu_errors).or_else(|| {
+        let change = next_change(walk, &solved.estimate.states, known)?;
+        let mut allowed = known.clone();
+        allowed.bias_changes.push(change);
+        Some(allowed)
+    })
+}
+
 /// Whether the last round was enough shows in what another one would change; the result stays that of the solve.
 fn unrest(
     walk: &mut Walk,
@@ -70,7 +84,7 @@ fn unrest(
     let (frames, mut points) = (walk.frames.clone(), last.points.clone());
     let changing = choose_observations(walk, &last.estimate, &mut points, config);
     walk.frames = frames;
-    let is_settled = used.inertial.allowing(&last.imu_errors).is_none() && is_few(changing, last);
+    let is_settled = allowing(walk, last, used).is_none() && is_few(changing, last);
     (!is_settled).then(|| GroundTruthWarning::NotAtRest {
         rounds: rounds as u64,
         changing: changing as u64,

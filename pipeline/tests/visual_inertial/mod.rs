@@ -38,7 +38,13 @@ fn solved(walk: &TrackedWalk, start: Option<Vec<(NavState, ImuBias)>>) -> Motion
         // Keyframes of a map are rare and see each point seldom: all of them count.
         config.adjustment.local_points_per_image = 1000;
     }
-    motion_without_map(walk, start, &config, &no_progress).expect("a motion")
+    let found = motion_without_map(walk, start, &config, &no_progress).expect("a motion");
+    let wander = &found.imu.bias_wander;
+    println!(
+        "biases change by {:.2} and {:.2} standard deviations of what their noise allows",
+        wander.gyro.sigmas, wander.accel.sigmas
+    );
+    found
 }
 
 /// Root mean square distance from the truth after alignment, metres, and the alignment.

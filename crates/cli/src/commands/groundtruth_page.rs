@@ -380,6 +380,13 @@ fn imu(imu: Option<&ImuRefinement>) -> Table {
                 format!("{:.1}", imu.imu_error_sigmas),
             ),
             (
+                "largest change of a bias, gyroscope and accelerometer, σ of what its noise allows",
+                format!(
+                    "{:.1}, {:.1}",
+                    imu.bias_wander.gyro.sigmas, imu.bias_wander.accel.sigmas
+                ),
+            ),
+            (
                 "images and IMU differ by, σ of its noise",
                 format!("{:.2}", imu.imu_left_sigmas),
             ),

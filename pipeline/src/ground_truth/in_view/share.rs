@@ -2,10 +2,10 @@
 
 /// Share of points that are found where they are there: 1 / (1 + exp −(a + b ln size + c aside + d spread)). Fitted by logistic regression to
 /// 37 000 points that 15 right walks of the standard trial (seed 41, Android and glasses) looked for.
-const CERTAIN: f64 = 3.05;
-const BY_LOG_SIZE: f64 = 3.6;
-const BY_ASIDE_RAD: f64 = -7.0;
-const BY_SPREAD: f64 = -8.6;
+const CERTAIN: f64 = 2.55;
+const BY_LOG_SIZE: f64 = 4.4;
+const BY_ASIDE_RAD: f64 = -8.2;
+const BY_SPREAD: f64 = -9.0;
 /// Farther aside it is no less sure, radians: too few points are looked for there to say.
 const FARTHEST_ASIDE_RAD: f64 = 0.35;
 

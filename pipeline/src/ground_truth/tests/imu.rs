@@ -168,6 +168,41 @@ fn what_no_unknown_stands_for_is_said() {
     }
 }
 
+/// As of an accelerometer that was knocked by 0.1 m/s² (1.1 cm off before, where millimetres were stated, without a word), and a gyroscope that warms
+/// up by 0.34 °/s each second.
+#[test]
+fn biases_that_change_more_than_their_noise_allows_are_said_and_allowed() {
+    let right = found(InertialPriors::default(), |_| ());
+    assert_eq!(
+        verdict(&right.imu.findings(), "imu-wander"),
+        Some(Verdict::Pass),
+        "{:?}",
+        right.imu
+    );
+    let knocked = found(InertialPriors::default(), |imu| {
+        let half = imu.len() / 2;
+        for s in &mut imu[half..] {
+            s.sample.specific_force_m_s2[0] += 0.1;
+        }
+    });
+    let warming = found(InertialPriors::default(), |imu| {
+        // Samples are 5 ms apart.
+        for (k, s) in imu.iter_mut().enumerate() {
+            s.sample.angular_velocity_rad_s[1] += 6e-3 * 0.005 * k as f64;
+        }
+    });
+    for (found, largest_m) in [(knocked, 7e-3), (warming, 1e-2)] {
+        assert_eq!(
+            verdict(&found.imu.findings(), "imu-wander"),
+            Some(Verdict::Warn),
+            "{:?}",
+            found.imu
+        );
+        assert!(found.worst_m < largest_m, "{:.1} mm", 1e3 * found.worst_m);
+        assert!(found.within > 0.93, "NEES {:.1}", found.nees);
+    }
+}
+
 /// Such walks were refused with "the map is poor here".
 #[test]
 fn axes_of_an_accelerometer_that_are_wrong_are_named() {

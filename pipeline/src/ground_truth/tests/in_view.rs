@@ -53,6 +53,7 @@ fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
             there: there as f64,
             absent: absent as f64,
             most_absent: absent.min(3) as f64,
+            ..InView::default()
         })
         .collect();
     let config = GroundTruthConfig::default();
