@@ -14,7 +14,7 @@ use super::walk::{FrameState, Walk};
 
 /// Shortest time after which biases are compared, seconds; then after twice that, and so on.
 const SHORTEST_SECS: f64 = 1.0;
-/// A bias that changes by more than so much of what its noise allows is pulled. In right walks of a simulated device it is 0.2, of TUM VI up to 1.0, where an
+/// A bias that changes by more than so much of what its noise allows is pulled. In right walks of simulated devices it is 0.2 to 0.6, of TUM VI up to 1.0, where an
 /// accelerometer was knocked by 0.1 m/s² 2.4. (EuRoC's V1_01 has up to 4.3: its biases wander more than is stated.)
 const PULLED_SIGMAS: f64 = 1.5;
 /// About where it changed it may wander so many times as much, for so long, seconds.
