@@ -7,7 +7,7 @@ use super::GroundTruthConfig;
 use super::config::{InertialPriors, UNLIKELY_SIGMAS};
 use super::imu_agreement::left_sigmas;
 use super::imu_swing::{ImuSwing, LARGEST_SWING, Swinging, swing};
-use super::imu_wander::{BiasChange, BiasWander};
+use super::imu_wander::{BiasChange, BiasWander, PULLED_SIGMAS};
 use super::optimization::Optimized;
 use super::walk::Walk;
 use crate::Error;
@@ -102,7 +102,7 @@ impl ImuRefinement {
         };
         let what = format!(
             "the gyroscope's bias changes by {:.3} °/s {}, the accelerometer's by {:.3} m/s² {}: {:.1} and {:.1} standard deviations of what their \
-             noise allows; the motion is computed with such changes",
+             noise allows",
             gyro.change.to_degrees().abs(),
             at(&gyro),
             accel.change.abs(),
@@ -111,7 +111,7 @@ impl ImuRefinement {
             accel.sigmas
         );
         let largest = gyro.sigmas.max(accel.sigmas);
-        let limit = Limit::AtMost(UNLIKELY_SIGMAS);
+        let limit = Limit::AtMost(PULLED_SIGMAS);
         Finding::new("imu-wander", Verdict::Warn.unless(limit.holds(largest)), "IMU", what)
             .value(largest, "")
             .limit(limit)

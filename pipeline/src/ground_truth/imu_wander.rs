@@ -16,7 +16,7 @@ use super::walk::{FrameState, Walk};
 const SHORTEST_SECS: f64 = 1.0;
 /// A bias that changes by more than so much of what its noise allows is pulled. In right walks of simulated devices it is 0.2 to 0.6, of TUM VI up to 1.0, where an
 /// accelerometer was knocked by 0.1 m/s² 2.4. (EuRoC's V1_01 has up to 4.3: its biases wander more than is stated.)
-const PULLED_SIGMAS: f64 = 1.5;
+pub(super) const PULLED_SIGMAS: f64 = 1.5;
 /// About where it changed it may wander so many times as much, for so long, seconds.
 const ROOM: f64 = 50.0;
 const ROOM_SECS: f64 = 2.0;
