@@ -307,7 +307,9 @@ fn a_kapture_of_a_rig_is_read_and_images_without_pose_are_said() {
     let found = PosedImages::read(scratch.path()).expect("read");
     assert_eq!(found.images.len(), 1);
     let place = found.images[0].world_from_rig.translation;
-    assert_eq!(place, Vector3::new(-1.0, 0.0, 2.0));
+    assert_eq!(place, Vector3::new(0.0, 0.0, 2.0));
+    let mounted = found.rig.cameras["left"].rig_from_camera.translation;
+    assert_eq!(mounted, Vector3::new(-1.0, 0.0, 0.0));
     assert_eq!(found.notes.len(), 1);
     assert!(
         found.notes[0].contains("1 of 2 images"),

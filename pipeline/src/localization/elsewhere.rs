@@ -12,9 +12,10 @@ use lsfb_geometry::{Rig, Se3, Vector3};
 use rayon::prelude::*;
 
 use super::guided_matching::{GuidedPose, Query};
-use super::localizer::{Found, Localizer, contradict};
+use super::localizer::{Found, Localizer, MatchedQuery, contradict};
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization};
+use super::prior::PoseKnowledge;
 use super::voting::Candidates;
 use crate::features::FrameFeatures;
 
@@ -174,7 +175,14 @@ fn elsewhere_of(
         let place = places.neighbourhood(vote.image, localizer.config.place_images);
         let points = places.points_of(&place);
         tried.extend(&place);
-        let found = localizer.pose_at(query, points, &candidates, vote.votes);
+        let seen = MatchedQuery {
+            query,
+            candidates: &candidates,
+            around: &[],
+            votes: &[],
+            known: &PoseKnowledge::default(),
+        };
+        let found = localizer.pose_at(&seen, points, vote.votes);
         let found = found.map(|found| found.pose);
         let found = found.filter(|pose| {
             pose.matches.len() >= FEWEST_MATCHES
@@ -250,13 +258,20 @@ pub(crate) fn localize_near(
         let candidates = features.iter().map(|f| localizer.look_up(f));
         let candidates: Vec<Vec<Candidates>> = candidates.collect();
         let points = points_around(localizer, query.cameras, near);
-        let hypothesis = localizer.pose_at(query, points, &candidates, 0)?;
+        let seen = MatchedQuery {
+            query,
+            candidates: &candidates,
+            around: &[],
+            votes: &[],
+            known: &PoseKnowledge::default(),
+        };
+        let hypothesis = localizer.pose_at(&seen, points, 0)?;
         let found = Found {
             hypothesis,
             places: 1,
             rival_inliers: 0,
         };
-        let found = localizer.judge(found, query)?;
+        let found = localizer.judge(found, query, 0.0)?;
         let is_found = found.probability >= localizer.min_probability()
             && !contradict(&found.world_from_rig, near);
         is_found.then_some(found)
@@ -264,7 +279,7 @@ pub(crate) fn localize_near(
 }
 
 /// Points of the map's images that look most as the cameras of a rig do, ascending.
-fn points_around(
+pub(super) fn points_around(
     localizer: &Localizer,
     cameras: &[MountedCamera],
     world_from_rig: &Se3,

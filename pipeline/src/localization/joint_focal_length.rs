@@ -150,6 +150,7 @@ mod tests {
             first_inliers: 90,
             chance_level: 0.001,
             log10_false_alarms: -120.0,
+            known_decades: 0.0,
             guided_inliers: 200,
             decoy_inliers: 12.0,
             image_spread: 0.6,

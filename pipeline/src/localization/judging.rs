@@ -29,11 +29,20 @@ struct FocalEvidence {
 
 impl Localizer {
     /// The pose with its evidence and covariance; `None` where its matches do not determine it.
-    pub(super) fn judge(&self, found: Found, query: &Query) -> Option<Localization> {
+    /// `known_decades` is what knowledge beforehand says against chance.
+    pub(super) fn judge(
+        &self,
+        found: Found,
+        query: &Query,
+        known_decades: f64,
+    ) -> Option<Localization> {
         let pose = &found.hypothesis.pose;
         let resolved = query.resolve(&pose.matches);
         let near = self.near_focal_length(&found.hypothesis, query, &resolved);
-        let evidence = self.evidence(&found, query, &resolved, near);
+        let evidence = Evidence {
+            known_decades,
+            ..self.evidence(&found, query, &resolved, near)
+        };
         let posed = PosedMatches {
             cameras: query.cameras,
             matches: &resolved,
@@ -83,6 +92,7 @@ impl Localizer {
             first_inliers: agreement.inliers,
             chance_level: agreement.chance_level,
             log10_false_alarms: agreement.log10_false_alarms(*places),
+            known_decades: 0.0,
             guided_inliers: pose.matches.len(),
             decoy_inliers: query.decoy_inliers(&hypothesis.points, pose, &self.guided()),
             image_spread: largest_spread(query, resolved),

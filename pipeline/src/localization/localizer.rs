@@ -2,11 +2,13 @@ use lsfb_geometry::{Rig, Se3};
 
 use super::acceptance::{Agreement, FirstMatches};
 use super::config::LocalizerConfig;
+use super::elsewhere::points_around;
 use super::guided_matching::{GuidedConfig, GuidedPose, Query};
 use super::map_error::{FEWEST_POINTS, MapError};
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
-use super::ransac::estimate_pose;
+use super::prior::PoseKnowledge;
+use super::ransac::estimate_known_pose;
 use super::voting::{Candidates, Places, Vote};
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
@@ -45,11 +47,14 @@ pub(super) struct Found {
 }
 
 /// A query with what the map says of it.
-struct MatchedQuery<'a> {
-    query: &'a Query<'a>,
+pub(super) struct MatchedQuery<'a> {
+    pub query: &'a Query<'a>,
     /// Points that each feature of each frame may show.
-    candidates: &'a [Vec<Candidates>],
-    votes: &'a [Vote],
+    pub candidates: &'a [Vec<Candidates>],
+    /// Points of the map's images around where the rig should be; none where nobody knows that.
+    pub around: &'a [u32],
+    pub votes: &'a [Vote],
+    pub known: &'a PoseKnowledge,
 }
 
 impl Localizer {
@@ -85,7 +90,17 @@ impl Localizer {
         frames: &[FrameFeatures],
         rig: &Rig,
     ) -> Result<Localization, NotLocalized> {
-        let best = self.best_pose(frames, rig)?;
+        self.localize_known(frames, rig, &PoseKnowledge::default())
+    }
+
+    /// [`Localizer::localize`] with what is known of the pose beforehand: where it contradicts that there is none.
+    pub fn localize_known(
+        &self,
+        frames: &[FrameFeatures],
+        rig: &Rig,
+        known: &PoseKnowledge,
+    ) -> Result<Localization, NotLocalized> {
+        let best = self.best_pose(frames, rig, known)?;
         if best.evidence.contradicts_focal_length() {
             return Err(NotLocalized {
                 reason: NotLocalizedReason::FocalLength {
@@ -107,12 +122,20 @@ impl Localizer {
     }
 
     /// The pose that most speaks for, however little that is.
-    fn best_pose(&self, frames: &[FrameFeatures], rig: &Rig) -> Result<Localization, NotLocalized> {
+    fn best_pose(
+        &self,
+        frames: &[FrameFeatures],
+        rig: &Rig,
+        known: &PoseKnowledge,
+    ) -> Result<Localization, NotLocalized> {
         let cameras = self.mount(frames, rig)?;
         let candidates: Vec<Vec<Candidates>> = frames.iter().map(|f| self.look_up(f)).collect();
         let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
         let votes = self.places.vote(&all, self.config.min_votes);
-        if votes.is_empty() {
+        let around = known.pose.map_or_else(Vec::new, |expected| {
+            points_around(self, &cameras, &expected.world_from_rig)
+        });
+        if votes.is_empty() && around.is_empty() {
             let best = self.places.vote(&all, 1).first().map_or(0, |v| v.votes);
             return Err(NotLocalized {
                 reason: NotLocalizedReason::NoPlace { votes: best },
@@ -131,7 +154,9 @@ impl Localizer {
         let seen = MatchedQuery {
             query: &query,
             candidates: &candidates,
+            around: &around,
             votes: &votes,
+            known,
         };
         let (narrow, tried) = self
             .best_at(&seen, self.config.place_images, 0)
@@ -160,6 +185,10 @@ impl Localizer {
         let mut hypotheses: Vec<Hypothesis> = Vec::new();
         let mut tried: Vec<u32> = Vec::new();
         let mut places = tried_before;
+        if !seen.around.is_empty() && tried_before == 0 {
+            places += 1;
+            hypotheses.extend(self.pose_at(seen, seen.around.to_vec(), 0));
+        }
         let (max_places, in_doubt) = (self.config.max_places, self.config.max_places_in_doubt);
         for vote in seen.votes {
             let is_in_doubt = hypotheses
@@ -176,7 +205,7 @@ impl Localizer {
             let place = self.places.neighbourhood(vote.image, place_images);
             let points = self.places.points_of(&place);
             tried.extend(&place);
-            hypotheses.extend(self.pose_at(seen.query, points, seen.candidates, vote.votes));
+            hypotheses.extend(self.pose_at(seen, points, vote.votes));
         }
         // By what no pose searched for; the first of equals is that of the place with most votes.
         let unlikely_by_chance = |i: &usize| -hypotheses[*i].agreement.log10_false_alarms(places);
@@ -194,7 +223,8 @@ impl Localizer {
             places,
             rival_inliers,
         };
-        Some((self.judge(found, seen.query)?, places))
+        let decades = seen.known.decades();
+        Some((self.judge(found, seen.query, decades)?, places))
     }
 
     /// The cameras of the frames: those of the map's own images as these showed them.
@@ -284,11 +314,16 @@ impl Localizer {
     /// The pose among the points of a place, if there is one.
     pub(super) fn pose_at(
         &self,
-        query: &Query,
+        seen: &MatchedQuery,
         points: Vec<u32>,
-        candidates: &[Vec<Candidates>],
         votes: u32,
     ) -> Option<Hypothesis> {
+        let MatchedQuery {
+            query,
+            candidates,
+            known,
+            ..
+        } = seen;
         let mut pairs: Vec<FeatureMatch> = Vec::new();
         let mut distances: Vec<u32> = Vec::new();
         for (frame, features) in candidates.iter().enumerate() {
@@ -305,8 +340,11 @@ impl Localizer {
             }
         }
         let resolved = query.resolve(&pairs);
-        let estimate = estimate_pose(query.cameras, &resolved, &self.config.ransac)?;
+        let estimate = estimate_known_pose(query.cameras, &resolved, known, &self.config.ransac)?;
         let pose = query.guided_pose(&points, &estimate.world_from_rig, &self.guided())?;
+        if known.contradicts(&pose.world_from_rig) {
+            return None;
+        }
         let shown = pairs.iter().map(|p| p.point);
         let judged = distances.into_iter().zip(shown).zip(resolved);
         let judged = judged.map(|((distance, point), m)| (distance, point, m));

@@ -9,6 +9,7 @@ mod acceptance;
 mod config;
 mod covariance;
 mod elsewhere;
+mod expected;
 mod focal_length;
 mod given_poses;
 mod guided_matching;
@@ -20,11 +21,13 @@ mod map_error;
 mod matches;
 mod outcome;
 mod p3p;
+mod prior;
 mod queries;
 mod ransac;
 mod refinement;
 mod sequence;
 mod shared_errors;
+mod upright;
 mod voting;
 
 pub use crate::frames::images_of_instants;
@@ -38,10 +41,11 @@ pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 pub use p3p::solve_p3p;
+pub use prior::{ExpectedPose, PoseKnowledge, Up};
 pub(crate) use queries::localize_frames_apart;
 pub use queries::{
     ImageLocalization, InstantLocalization, WalkLocalization, judge_together, localize_images,
     localize_posed_images, localize_recording, localize_recording_in_stages,
 };
-pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
+pub use ransac::{PoseEstimate, RansacConfig, estimate_known_pose, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

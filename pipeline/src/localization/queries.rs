@@ -5,15 +5,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use lsfb_geometry::{Rig, Se3};
 use lsfb_perception::image::ImageError;
 use lsfb_recording::Recording;
-use lsfb_types::{Progress, ProgressFn, Timestamp};
+use lsfb_types::{ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 use rayon::prelude::*;
 
+use super::expected::{WalkMotion, knowledge};
 use super::joint_focal_length::{JointFocalLength, JointVerdict};
+use super::prior::PoseKnowledge;
 use super::sequence::refuse_contradicted;
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
-use crate::frames::{FeatureFrame, ImageClock, read_frames, times_apart};
+use crate::frames::{FeatureFrame, ImageClock, read_frames, read_imu_if_any, times_apart};
 use crate::kept_stages::KeptStages;
 use crate::posed_images::{PosedImages, QueryImage, read_image};
 
@@ -204,7 +206,8 @@ pub struct WalkLocalization {
 }
 
 /// Localizes the images of each instant of a walk on their own, and refuses poses that those of the seconds around them contradict, in a
-/// map in metres. Refuses a detector of another feature than the map's.
+/// map in metres. Instants that are not found so are looked for once more with what those around them and the IMU say of their poses.
+/// Refuses a detector of another feature than the map's.
 pub fn localize_recording(
     localizer: &Localizer,
     recording: &Recording,
@@ -229,6 +232,20 @@ pub fn localize_recording_in_stages(
     let found = localize_frames(localizer, &read.frames, &rig, stages, progress)?;
     let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
     let found = refuse_contradicted(&times, found);
+    let (samples, damaged_samples) = read_imu_if_any(recording)?;
+    let known = Known {
+        samples: &samples,
+        times: &times,
+    };
+    let found = localize_lost(
+        localizer,
+        &read.frames,
+        &rig,
+        &known,
+        found,
+        stages,
+        progress,
+    )?;
     let instants = read.frames.iter().zip(found);
     Ok(WalkLocalization {
         instants: instants
@@ -237,7 +254,7 @@ pub fn localize_recording_in_stages(
                 found,
             })
             .collect(),
-        damaged: read.damaged,
+        damaged: read.damaged + damaged_samples,
     })
 }
 
@@ -252,9 +269,50 @@ fn localize_frames(
     stages: &KeptStages,
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
-    let all: Vec<&FeatureFrame> = frames.iter().collect();
+    let nothing = PoseKnowledge::default();
+    let all: Vec<_> = frames.iter().map(|frame| (frame, nothing)).collect();
     let found = localize_parts(localizer, &all, rig, "localized", stages, progress)?;
     Ok(judge_together(found, localizer.min_probability()))
+}
+
+/// What a walk says besides its images.
+struct Known<'a> {
+    samples: &'a [Stamped<ImuSample>],
+    times: &'a [Timestamp],
+}
+
+/// Looks once more for the frames that were not found, with what is known of their poses.
+fn localize_lost(
+    localizer: &Localizer,
+    frames: &[FeatureFrame],
+    rig: &Rig,
+    known: &Known,
+    found: Vec<Result<Localization, NotLocalized>>,
+    stages: &KeptStages,
+    progress: ProgressFn,
+) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
+    let poses: Vec<_> = found
+        .iter()
+        .map(|found| {
+            let found = found.as_ref().ok()?;
+            Some((&found.world_from_rig, &found.covariance))
+        })
+        .collect();
+    let motion = WalkMotion::new(known.samples);
+    let knowledge = knowledge(&motion, known.times, &poses);
+    let is_known = |k: &usize| knowledge[*k] != PoseKnowledge::default();
+    let lost: Vec<usize> = (0..frames.len()).filter(is_known).collect();
+    let asked: Vec<(&FeatureFrame, PoseKnowledge)> =
+        lost.iter().map(|k| (&frames[*k], knowledge[*k])).collect();
+    let again = localize_parts(localizer, &asked, rig, "localized_again", stages, progress)?;
+    let again = judge_together(again, localizer.min_probability());
+    let mut all = found;
+    for (k, again) in lost.into_iter().zip(again) {
+        if again.is_ok() {
+            all[k] = again;
+        }
+    }
+    Ok(refuse_contradicted(known.times, all))
 }
 
 /// [`localize_frames`] of some: the first, those at least so much later than the one before, the last; and where one of these is not
@@ -269,7 +327,8 @@ pub(crate) fn localize_frames_apart(
 ) -> Result<Vec<Option<Result<Localization, NotLocalized>>>, Error> {
     let times: Vec<Timestamp> = frames.iter().map(|frame| frame.time).collect();
     let of = |name: &str, chosen: &[usize]| {
-        let frames: Vec<&FeatureFrame> = chosen.iter().map(|k| &frames[*k]).collect();
+        let nothing = PoseKnowledge::default();
+        let frames: Vec<_> = chosen.iter().map(|k| (&frames[*k], nothing)).collect();
         localize_parts(localizer, &frames, rig, name, stages, progress)
     };
     let sparse = times_apart(&times, apart_secs);
@@ -290,10 +349,10 @@ pub(crate) fn localize_frames_apart(
     Ok(all)
 }
 
-/// Localizes each of some frames alone; what is found is kept part by part.
+/// Localizes each of some frames with what is known of its pose; what is found is kept part by part.
 fn localize_parts(
     localizer: &Localizer,
-    frames: &[&FeatureFrame],
+    frames: &[(&FeatureFrame, PoseKnowledge)],
     rig: &Rig,
     name: &str,
     stages: &KeptStages,
@@ -303,8 +362,8 @@ fn localize_parts(
     for (number, part) in frames.chunks(PART).enumerate() {
         let done = AtomicU64::new(found.len() as u64);
         let of_part: Vec<_> = stages.once(&format!("{name}_{number:05}"), || {
-            let localized = part.par_iter().map(|frame| {
-                let found = localizer.localize(&frame.features, rig);
+            let localized = part.par_iter().map(|(frame, known)| {
+                let found = localizer.localize_known(&frame.features, rig, known);
                 progress(Progress {
                     stage: "localization",
                     done: done.fetch_add(1, Ordering::Relaxed) + 1,

@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use super::matches::{MountedCamera, PointMatch};
 use super::p3p::solve_p3p;
+use super::prior::PoseKnowledge;
 use super::refinement::{RefinementConfig, refine_pose};
+use super::upright::{SeenPoint, solve_upright};
 use crate::sampling::samples_needed;
 
 /// Configuration of [`estimate_pose`].
@@ -70,9 +72,7 @@ struct Bearing {
     match_index: usize,
     camera: usize,
     ray_in_camera: Vector3<f64>,
-    ray_in_rig: Vector3<f64>,
-    origin_in_rig: Vector3<f64>,
-    point_in_world: Vector3<f64>,
+    seen: SeenPoint,
     /// Squared sine of the largest angle of an inlier.
     limit: f64,
 }
@@ -82,6 +82,16 @@ struct Bearing {
 pub fn estimate_pose(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
+    config: &RansacConfig,
+) -> Option<PoseEstimate> {
+    estimate_known_pose(cameras, matches, &PoseKnowledge::default(), config)
+}
+
+/// [`estimate_pose`] among poses that do not contradict what is known: where up is, every second sample has two matches.
+pub fn estimate_known_pose(
+    cameras: &[MountedCamera],
+    matches: &[PointMatch],
+    known: &PoseKnowledge,
     config: &RansacConfig,
 ) -> Option<PoseEstimate> {
     let bearings = prepare(cameras, matches, config.max_error_px);
@@ -103,17 +113,32 @@ pub fn estimate_pose(
     let mut samples = 0;
     while samples < needed.max(config.min_samples).min(config.max_samples) {
         samples += 1;
-        let group = choose_group(&groups, samplable, &mut rng);
-        let [a, b, c] = three_of(group, &mut rng).map(|i| &bearings[i]);
-        let rays = [a.ray_in_camera, b.ray_in_camera, c.ray_in_camera];
-        let points = [a.point_in_world, b.point_in_world, c.point_in_world];
-        for camera_from_world in solve_p3p(&rays, &points) {
-            let rig_from_world = cameras[a.camera].rig_from_camera * camera_from_world;
+        let poses = match &known.up {
+            Some(up) if samples % 2 == 0 => {
+                let [a, b] = two_of(bearings.len(), &mut rng).map(|i| &bearings[i].seen);
+                solve_upright(&up.in_rig, [a, b])
+            }
+            _ => {
+                let group = choose_group(&groups, samplable, &mut rng);
+                let [a, b, c] = three_of(group, &mut rng).map(|i| &bearings[i]);
+                let rays = [a.ray_in_camera, b.ray_in_camera, c.ray_in_camera];
+                let points = [a, b, c].map(|b| b.seen.point_in_world);
+                let rig_from_camera = cameras[a.camera].rig_from_camera;
+                let poses = solve_p3p(&rays, &points).into_iter();
+                poses
+                    .map(|camera_from_world| rig_from_camera * camera_from_world)
+                    .collect()
+            }
+        };
+        for rig_from_world in poses {
+            let world_from_rig = rig_from_world.inverse();
+            if known.contradicts(&world_from_rig) {
+                continue;
+            }
             let bound = best.as_ref().map_or(f64::INFINITY, |(_, score)| *score);
             let Some(score) = score(&bearings, &rig_from_world, bound) else {
                 continue;
             };
-            let world_from_rig = rig_from_world.inverse();
             best = Some(optimise(
                 cameras,
                 matches,
@@ -154,9 +179,11 @@ fn prepare(cameras: &[MountedCamera], matches: &[PointMatch], max_error_px: f64)
                 match_index,
                 camera: m.camera,
                 ray_in_camera: ray,
-                ray_in_rig: mounted.rig_from_camera.rotation * ray,
-                origin_in_rig: mounted.rig_from_camera.translation,
-                point_in_world: m.point_in_world,
+                seen: SeenPoint {
+                    ray_in_rig: mounted.rig_from_camera.rotation * ray,
+                    origin_in_rig: mounted.rig_from_camera.translation,
+                    point_in_world: m.point_in_world,
+                },
                 limit: angle.min(1.0).sin().powi(2),
             })
         })
@@ -186,13 +213,19 @@ fn three_of(group: &[usize], rng: &mut ChaCha8Rng) -> [usize; 3] {
     }
 }
 
+fn two_of(count: usize, rng: &mut ChaCha8Rng) -> [usize; 2] {
+    let i = rng.random_range(0..count);
+    [i, (i + rng.random_range(1..count)) % count]
+}
+
 /// Squared sine of the angle between a bearing and where the pose expects its point; above 1 behind.
 fn squared_sine(b: &Bearing, rotation: &nalgebra::Matrix3<f64>, translation: &Vector3<f64>) -> f64 {
-    let direction = rotation * b.point_in_world + translation - b.origin_in_rig;
-    if direction.dot(&b.ray_in_rig) <= 0.0 {
+    let seen = &b.seen;
+    let direction = rotation * seen.point_in_world + translation - seen.origin_in_rig;
+    if direction.dot(&seen.ray_in_rig) <= 0.0 {
         return 2.0;
     }
-    direction.cross(&b.ray_in_rig).norm_squared() / direction.norm_squared()
+    direction.cross(&seen.ray_in_rig).norm_squared() / direction.norm_squared()
 }
 
 /// Sum of squared errors in units of the limit, each at most 1; `None` as soon as it reaches `bound`.
@@ -247,9 +280,10 @@ fn optimise(
 mod tests {
     use lsfb_geometry::{Camera, Matrix3, Vector2};
 
+    use super::super::prior::Up;
     use super::*;
-    use lsfb_geometry::Vector6;
     use lsfb_geometry::camera::Lens;
+    use lsfb_geometry::{Vector6, so3};
 
     pub(crate) fn stereo() -> [MountedCamera; 2] {
         let camera = Camera {
@@ -315,6 +349,39 @@ mod tests {
             let again = estimate_pose(&stereo(), &matches, &RansacConfig::default());
             assert_eq!(again.as_ref(), Some(&found));
         }
+    }
+
+    /// One in twelve is right: of three matches all are once in 1 700 samples, of two once in 144.
+    #[test]
+    fn who_knows_which_way_is_up_finds_the_pose_among_more_outliers() {
+        let config = RansacConfig {
+            max_samples: 1000,
+            ..RansacConfig::default()
+        };
+        let (mut blind, mut upright) = (0, 0);
+        for seed in 0..10 {
+            let (truth, matches) = problem(300, 0.92, 20 + seed);
+            let up = truth.rotation.inverse() * Vector3::z();
+            // A degree off.
+            let off = so3::exp(&Vector3::new(0.012, -0.012, 0.0));
+            let known = PoseKnowledge {
+                up: Some(Up {
+                    in_rig: off * up,
+                    sigma_rad: 0.02,
+                }),
+                pose: None,
+            };
+            let is_right = |found: Option<PoseEstimate>| {
+                found.is_some_and(|found| {
+                    let error = truth.inverse() * found.world_from_rig;
+                    error.translation.norm() < 0.05
+                })
+            };
+            blind += usize::from(is_right(estimate_pose(&stereo(), &matches, &config)));
+            let found = estimate_known_pose(&stereo(), &matches, &known, &config);
+            upright += usize::from(is_right(found));
+        }
+        assert!(upright >= 9 && blind <= upright - 3, "{blind}, {upright}");
     }
 
     #[test]

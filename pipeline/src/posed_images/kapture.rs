@@ -42,6 +42,10 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
         listed.add_camera(name, found)?;
     }
     let in_rig = in_rigs(&sensors.join("rigs.txt"))?;
+    for camera in in_rig.keys() {
+        let (_, camera_from_rig) = outermost(camera, &in_rig);
+        listed.mount(camera, camera_from_rig.inverse());
+    }
     let poses = trajectories(&sensors.join("trajectories.txt"))?;
     for row in Row::of(&records)? {
         let (Some(time), Some(name), Some(file)) = (row.word(0), row.word(1), row.word(2)) else {
@@ -51,8 +55,16 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
             return Err(row.refuse(&records, &format!("camera {name} is not in sensors.txt")));
         }
         let pose = camera_from_world(time, name, &poses, &in_rig);
+        let pose = pose.map(|pose| pose.inverse());
         let file = sensors.join("records_data").join(file);
-        listed.add_image(file, name, pose.map(|pose| pose.inverse()));
+        let (rig, _) = outermost(name, &in_rig);
+        // A pose of the camera's own may be another than its rig's.
+        let has_own = poses.contains_key(&(time.to_owned(), name.to_owned()));
+        if rig == name || has_own {
+            listed.add_image(file, name, pose);
+        } else {
+            listed.add_image_of_rig(file, name, pose, (rig.to_owned(), time.to_owned()));
+        }
     }
     Ok(listed)
 }
@@ -73,6 +85,19 @@ fn camera_from_world(time: &str, camera: &str, poses: &Poses, in_rig: &InRig) ->
         device = rig;
     }
     None
+}
+
+/// The rig on which a device is in the end, itself where it is on none, and `device_from_rig`.
+fn outermost<'a>(mut device: &'a str, in_rig: &'a InRig) -> (&'a str, Se3) {
+    let mut device_from_rig = Se3::identity();
+    for _ in 0..DEEPEST_RIG {
+        let Some((rig, inner_from_outer)) = in_rig.get(device) else {
+            break;
+        };
+        device_from_rig = device_from_rig * *inner_from_outer;
+        device = rig;
+    }
+    (device, device_from_rig)
 }
 
 fn in_rigs(path: &Path) -> Result<InRig, Error> {

@@ -85,6 +85,7 @@ fn posed(path: &Path, file: &Path, rows: &[f64; 16]) -> Result<PosedImage, Error
         path: path.to_owned(),
         camera: CAMERA.to_owned(),
         world_from_rig,
+        instant: None,
     })
 }
 

@@ -1,6 +1,6 @@
 //! Cameras and images of a list, put together: whatever program wrote it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
@@ -9,7 +9,7 @@ use super::unposed::{QueryImage, UnposedImages};
 use super::{PosedImage, PosedImages, fitting};
 use crate::Error;
 
-/// Cameras and images, each camera its own rig: what is known of an image is where its camera was.
+/// Cameras and images: what is known of an image is where its camera was. Each camera is its own rig, but for those that are mounted on one.
 pub(super) struct Listed {
     /// The list, for errors.
     path: PathBuf,
@@ -23,6 +23,8 @@ struct ListedImage {
     camera: String,
     /// `None` where it is not known.
     world_from_camera: Option<Se3>,
+    /// The rig that took it and when, as the list has them; `None` of a camera on no rig.
+    taken: Option<(String, String)>,
 }
 
 impl Listed {
@@ -56,6 +58,13 @@ impl Listed {
         Ok(())
     }
 
+    /// Mounts a camera on a rig.
+    pub(super) fn mount(&mut self, camera: &str, rig_from_camera: Se3) {
+        if let Some(mounted) = self.rig.cameras.get_mut(camera) {
+            mounted.rig_from_camera = rig_from_camera;
+        }
+    }
+
     /// Takes an image, with its pose where that is known.
     pub(super) fn add_image(
         &mut self,
@@ -67,7 +76,22 @@ impl Listed {
             path,
             camera: camera.to_owned(),
             world_from_camera,
+            taken: None,
         });
+    }
+
+    /// The same of a camera on a rig: images that the rig took at the same time are of one instant.
+    pub(super) fn add_image_of_rig(
+        &mut self,
+        path: PathBuf,
+        camera: &str,
+        world_from_camera: Option<Se3>,
+        taken: (String, String),
+    ) {
+        self.add_image(path, camera, world_from_camera);
+        if let Some(image) = self.images.last_mut() {
+            image.taken = Some(taken);
+        }
     }
 
     /// The files of the images.
@@ -95,12 +119,19 @@ impl Listed {
     /// The images that have a pose; a list without one is an error.
     pub(super) fn posed(mut self) -> Result<PosedImages, Error> {
         let count = self.images.len();
+        let mut instants: BTreeMap<(String, String), usize> = BTreeMap::new();
         let posed = std::mem::take(&mut self.images).into_iter();
         let posed = posed.filter_map(|image| {
+            let mounted = self.rig.cameras.get(&image.camera)?;
+            let instant = image.taken.map(|taken| {
+                let next = instants.len();
+                *instants.entry(taken).or_insert(next)
+            });
             Some(PosedImage {
                 path: image.path,
                 camera: image.camera,
-                world_from_rig: image.world_from_camera?,
+                world_from_rig: image.world_from_camera? * mounted.rig_from_camera.inverse(),
+                instant,
             })
         });
         let images: Vec<PosedImage> = posed.collect();
@@ -122,7 +153,7 @@ impl Listed {
         })
     }
 
-    /// All images, whatever is known of their poses; a list without one is an error.
+    /// All images, whatever is known of their poses, each camera its own rig; a list without one is an error.
     pub(super) fn unposed(mut self) -> Result<UnposedImages, Error> {
         if self.images.is_empty() {
             return Err(self.refuse("it lists no image"));
@@ -135,6 +166,9 @@ impl Listed {
             })
             .collect();
         self.keep_cameras(|name| images.iter().any(|image| image.camera == *name));
+        for mounted in self.rig.cameras.values_mut() {
+            mounted.rig_from_camera = Se3::identity();
+        }
         Ok(UnposedImages {
             rig: self.rig,
             images,

@@ -36,6 +36,8 @@ pub struct PosedImage {
     pub camera: String,
     /// Pose of the rig.
     pub world_from_rig: Se3,
+    /// Images with the same number were taken by one rig at one instant; `None` of an image that is alone.
+    pub instant: Option<usize>,
 }
 
 /// Images with poses, in the order of their list, and the rig that took them.
@@ -61,7 +63,7 @@ const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
 impl PosedImages {
     /// Reads a folder of images of one undistorted pinhole camera (OpenCV axes) that is its own rig: with `K.txt`,
     /// `poses_T_world_cam_rowmajor4x4.txt` and `images/`; a sequence of 7-Scenes; or a scene of Strecha's. Or images of any cameras, each its
-    /// own rig: nerfstudio's `transforms.json`, a kapture, or a project or model of COLMAP.
+    /// own rig: nerfstudio's `transforms.json`, a project or model of COLMAP, or a kapture, whose rigs stay rigs.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let poses_path = folder.join(POSES);
         if !poses_path.exists() {
@@ -96,6 +98,7 @@ impl PosedImages {
                 path: folder.join(IMAGES).join(name),
                 camera: CAMERA.to_owned(),
                 world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
+                instant: None,
             });
         }
         let Some(first) = images.first() else {

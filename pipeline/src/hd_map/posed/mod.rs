@@ -76,7 +76,8 @@ lsfb_types::bounds! {
     }
 }
 
-/// Builds a map from images with poses, in the unit of the poses. Keyframe `i` carries `i` ns as its time: the list has none.
+/// Builds a map from images with poses, in the unit of the poses. Images that a rig took at one instant are one keyframe. Keyframe `i`
+/// carries `i` ns as its time: the list has none.
 ///
 /// Cameras that the images show to be other than stated are taken as they show them ([`HdMap::stated_cameras`]), and images of the same
 /// cameras are localized with those.
@@ -89,7 +90,6 @@ pub fn build_map_from_posed_images(
     progress: ProgressFn,
 ) -> Result<HdMap, Error> {
     config.check_bounds("posed_map")?;
-    let poses: Vec<Se3> = posed.images.iter().map(|i| i.world_from_rig).collect();
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut detected = DetectedImages {
         posed,
@@ -102,7 +102,7 @@ pub fn build_map_from_posed_images(
     let depth = depth_of_images(&posed.rig, &keyframes, &images, &config.reconstruction)?;
     let contradiction = contradiction(&posed.rig, &keyframes, &images, &config.reconstruction)?;
     let distance = config.keyframe_distance_per_depth * depth;
-    let chosen = select_keyframes(&poses, distance, config.keyframe_angle_deg);
+    let chosen = chosen_images(posed, distance, config.keyframe_angle_deg);
     detected.detect(&chosen, progress)?;
     let (mut keyframes, images) = detected.keyframes(&chosen);
     drop(detected);
@@ -165,14 +165,45 @@ pub fn build_map_from_posed_images(
     };
     let strangers = strangers(&mapped, name_of)?;
     let far = moved_far.first().map(|first| {
+        let shows = images.iter().position(|image| image.keyframe == *first);
         format!(
             "{} poses are farther from where the list has them than it is thought to be off (refine_poses), that of {} the first",
             moved_far.len(),
-            name_of(*first)
+            shows.map_or_else(String::new, name_of)
         )
     });
     let failures = contradiction.into_iter().chain(strangers).chain(far);
     Ok(map.with_failures(failures.collect()))
+}
+
+/// Number of the instant at which each of some images was taken, from 0 in their order: images of one rig share it.
+fn numbered_instants(posed: &PosedImages, images: &[usize]) -> Vec<usize> {
+    let mut of_rig: BTreeMap<usize, usize> = BTreeMap::new();
+    let mut count = 0;
+    let mut next = || {
+        count += 1;
+        count - 1
+    };
+    let instants = images.iter().map(|i| match posed.images[*i].instant {
+        Some(instant) => *of_rig.entry(instant).or_insert_with(&mut next),
+        None => next(),
+    });
+    instants.collect()
+}
+
+/// Indices of the images that become keyframes: those of an instant together.
+fn chosen_images(posed: &PosedImages, min_distance: f64, min_angle_deg: f64) -> Vec<usize> {
+    let all: Vec<usize> = (0..posed.images.len()).collect();
+    let instants = numbered_instants(posed, &all);
+    let mut poses: Vec<Se3> = Vec::new();
+    for (image, instant) in posed.images.iter().zip(&instants) {
+        if *instant == poses.len() {
+            poses.push(image.world_from_rig);
+        }
+    }
+    let chosen = select_keyframes(&poses, min_distance, min_angle_deg);
+    let is_chosen = |i: &usize| chosen.binary_search(&instants[*i]).is_ok();
+    all.into_iter().filter(is_chosen).collect()
 }
 
 /// Indices of the images that say how deep the scene is.
@@ -235,24 +266,26 @@ impl DetectedImages<'_> {
         Ok(())
     }
 
-    /// These images as keyframes.
+    /// These images, whose features are known, and their instants as keyframes.
     fn keyframes(&self, chosen: &[usize]) -> (Vec<StampedPose>, Vec<KeyframeImage>) {
-        let keyframes = chosen.iter().enumerate();
-        keyframes
-            .filter_map(|(keyframe, i)| {
-                let image = &self.posed.images[*i];
-                let pose = StampedPose {
+        let instants = numbered_instants(self.posed, chosen);
+        let mut keyframes: Vec<StampedPose> = Vec::new();
+        let images = chosen.iter().zip(instants).filter_map(|(i, keyframe)| {
+            let image = &self.posed.images[*i];
+            if keyframe == keyframes.len() {
+                keyframes.push(StampedPose {
                     time: Timestamp::from_nanos(keyframe as i64),
                     world_from_rig: image.world_from_rig,
-                };
-                let image = KeyframeImage {
-                    keyframe,
-                    camera: image.camera.clone(),
-                    features: self.features.get(i)?.clone(),
-                };
-                Some((pose, image))
+                });
+            }
+            Some(KeyframeImage {
+                keyframe,
+                camera: image.camera.clone(),
+                features: self.features.get(i)?.clone(),
             })
-            .unzip()
+        });
+        let images = images.collect();
+        (keyframes, images)
     }
 }
 

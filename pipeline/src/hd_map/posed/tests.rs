@@ -70,6 +70,7 @@ fn walk(folder: &Path, scale: f64) -> PosedImages {
             path,
             camera: "cam0".to_owned(),
             world_from_rig: Se3::new(pose.rotation, pose.translation * scale),
+            instant: None,
         }
     });
     PosedImages {

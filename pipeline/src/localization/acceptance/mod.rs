@@ -14,6 +14,8 @@
 //! - **Other focal lengths**: the factor with which most first matches agree. Where that is another than 1 for sure, the pose is refused
 //!   whatever its probability.
 //!
+//! What is known of the pose beforehand (`prior`) counts with the first matches: fewer of the poses by chance agree with it.
+//!
 //! [`Evidence::probability`] is the product of four: a logistic regression on the first three kinds, fitted with a ridge of 0.03 in
 //! units of their standard deviations; the chance that no such pose is expected of wrong matches; that they are not wrong together; the
 //! chance that the rival is wrong. Right means the right view of the right place, within 0.5 m and 10° (outdoors 1 m): how exact it is says the covariance.
@@ -44,6 +46,8 @@ pub struct Evidence {
     /// Decimal logarithm of the number of poses expected to have as many inliers by chance alone, among all poses that
     /// the matches can be asked for.
     pub log10_false_alarms: f64,
+    /// Decimal logarithm of the share of those that agree with what was known of the pose beforehand; 0 where nothing was.
+    pub known_decades: f64,
     /// Inliers after guided matching: of the points projected with the pose.
     pub guided_inliers: usize,
     /// Inliers that the same matching finds where the points are not: projected aside, the mean of four directions.
@@ -131,22 +135,27 @@ impl Evidence {
         let (guided, decoys) = (self.guided_inliers as f64, self.decoy_inliers);
         // Each kind of evidence is bounded: none can do without the others.
         let logit = WEIGHTS.constant
-            + WEIGHTS.false_alarms * (-self.log10_false_alarms).clamp(-10.0, 20.0)
+            + WEIGHTS.false_alarms * (-self.false_alarms_as_known()).clamp(-10.0, 20.0)
             + WEIGHTS.decoys * ((guided + 1.0) / (decoys + 1.0)).ln().clamp(0.0, 2.0)
             + WEIGHTS.spread * self.image_spread.min(0.4);
         let of_evidence = 1.0 / (1.0 + (-logit).exp());
-        let no_chance = 1.0 / (1.0 + 10f64.powf(self.log10_false_alarms));
+        let no_chance = 1.0 / (1.0 + 10f64.powf(self.false_alarms_as_known()));
         of_evidence
             * no_chance
             * self.probability_against_likeness()
             * self.probability_against_rival()
     }
 
+    /// Decimal logarithm of the false alarms that agree with what was known.
+    fn false_alarms_as_known(&self) -> f64 {
+        self.log10_false_alarms + self.known_decades
+    }
+
     /// Against matches that are wrong together: parts that look alike in a mirror, in a row or in another room agree with a pose of their
     /// own, so many of so few at that, however unlikely that were of each alone; but all that lies around them does not agree. And
     /// against a mirror, which explains them better.
     fn probability_against_likeness(&self) -> f64 {
-        let decades = -self.log10_false_alarms / self.first_matches.max(1) as f64;
+        let decades = -self.false_alarms_as_known() / self.first_matches.max(1) as f64;
         let decades = decades * self.first_spread;
         let together = 1.0 / (1.0 + (self.decades_together / decades.max(1e-9)).powi(6));
         let by_mirror = self.log10_false_alarms - self.log10_false_alarms_mirrored;

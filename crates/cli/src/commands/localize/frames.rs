@@ -50,6 +50,8 @@ pub struct Pose {
     pub more_than_30_inliers: bool,
     /// Root mean square of their reprojection errors, pixels.
     pub reprojection_rms_px: f64,
+    /// Votes of the place where it was found.
+    pub votes: u32,
     /// What speaks for it.
     pub evidence: Evidence,
 }
@@ -96,6 +98,7 @@ impl Pose {
             inliers: found.matches.len(),
             more_than_30_inliers: found.matches.len() > PAPER_INLIERS,
             reprojection_rms_px: found.reprojection_rms_px,
+            votes: found.votes,
             evidence: found.evidence,
         }
     }
@@ -130,8 +133,8 @@ pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
 /// A line for each frame; empty fields where there is no pose.
 pub fn csv(frames: &[Frame]) -> String {
     let mut text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,position_sigma_m,\
-                    rotation_sigma_deg,reprojection_rms_px,first_matches,first_inliers,log10_false_alarms,decoy_inliers,\
-                    rival_inliers,image_spread,first_spread,log10_false_alarms_mirrored,focal_scale,focal_log_sigma,focal_decades"
+                    rotation_sigma_deg,reprojection_rms_px,votes,first_matches,first_inliers,log10_false_alarms,known_decades,\
+                    decoy_inliers,rival_inliers,image_spread,first_spread,log10_false_alarms_mirrored,focal_scale,focal_log_sigma,focal_decades"
         .to_owned();
     for row in 0..6 {
         for column in 0..6 {
@@ -159,7 +162,7 @@ pub fn csv(frames: &[Frame]) -> String {
 }
 
 /// Fields of a line before the reason.
-const EMPTY_FIELDS: usize = 26 + 36;
+const EMPTY_FIELDS: usize = 28 + 36;
 
 impl Pose {
     fn fields(&self) -> Vec<String> {
@@ -175,9 +178,11 @@ impl Pose {
             self.position_sigma_m.to_string(),
             self.rotation_sigma_deg.to_string(),
             self.reprojection_rms_px.to_string(),
+            self.votes.to_string(),
             e.first_matches.to_string(),
             e.first_inliers.to_string(),
             e.log10_false_alarms.to_string(),
+            e.known_decades.to_string(),
             e.decoy_inliers.to_string(),
             e.rival_inliers.to_string(),
             e.image_spread.to_string(),
@@ -227,6 +232,7 @@ pub mod tests {
             first_inliers: 90,
             chance_level: 1.0 / 3000.0,
             log10_false_alarms: -120.25,
+            known_decades: 0.0,
             guided_inliers: 200,
             decoy_inliers: 12.0,
             image_spread: 0.6,
@@ -254,6 +260,7 @@ pub mod tests {
                 inliers: 200,
                 more_than_30_inliers: true,
                 reprojection_rms_px: 1.0 / (1.0 + x_m),
+                votes: 40,
                 evidence,
             }),
             distance_m: listed.map(|listed| (listed.translation.x - x_m).abs()),
