@@ -95,6 +95,11 @@ impl<'a> WalkMotion<'a> {
     }
 }
 
+/// Of the instants within so many seconds, half before and half after, this share must be localized: those few that are recognised where most are not may
+/// all be taken in by the same likeness, and what is looked for next to them is found there.
+const WINDOW_SECS: f64 = 10.0;
+const LEAST_RECOGNISED: f64 = 1.0 / 3.0;
+
 /// Poses lean less against the IMU, in the median, where the map's z axis points upwards and the IMU's axes are right, radians.
 const LEAST_LEAN_RAD: f64 = 0.05;
 
@@ -114,9 +119,17 @@ pub(super) fn knowledge(
         Some(up.lean_rad(pose))
     });
     let is_upright = median(leans.collect()).is_some_and(|lean| lean < LEAST_LEAN_RAD);
+    let half = (0.5e9 * WINDOW_SECS) as i64;
+    let is_recognised = |time: Timestamp| {
+        let first = times.partition_point(|t| *t < time + -half);
+        let end = times.partition_point(|t| *t <= time + half);
+        let around = &found[first..end];
+        let recognised = around.iter().flatten().count();
+        recognised as f64 >= LEAST_RECOGNISED * around.len() as f64
+    };
     let lost = times.iter().zip(found);
     lost.map(|(time, found)| {
-        if found.is_some() {
+        if found.is_some() || !is_recognised(*time) {
             return PoseKnowledge::default();
         }
         let after = localized.partition_point(|(then, ..)| then < time);
@@ -208,7 +221,13 @@ mod tests {
         assert!(known[2].up.is_some() && !known[2].contradicts(&world_from_rig(4.4)));
         // Alone, up is known all the same.
         assert!(known[4].pose.is_none() && known[4].up.is_some());
+        // Where most instants were not recognised, those that were say nothing.
+        let times = [1.0, 4.0, 4.1, 4.2, 4.3].map(at);
+        let found = [None, Some((&poses[1], &covariance)), None, None, None];
+        let known = knowledge(&motion, &times, &found);
+        assert!(known.iter().all(|k| *k == PoseKnowledge::default()));
         // In a map that does not stand upright the IMU says nothing of up.
+        let times = [1.0, 4.0, 4.4, 5.0, 6.5].map(at);
         let lying = so3::exp(&Vector3::new(1.0, 0.0, 0.0));
         let poses = poses.map(|pose| Se3::new(lying * pose.rotation, Vector3::zeros()));
         let found = [Some(0), Some(1), None, Some(2), None];

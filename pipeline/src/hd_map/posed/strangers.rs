@@ -4,10 +4,11 @@
 //! make no points, and nobody hears of it. They are found in two ways. An image that shares hardly anything with those around it is
 //! looked up in the map by its features: where it resembles an image with which it should share nothing, and that so much that their matches
 //! contradict the poses, its pose is not its own. And many images that share hardly anything with the others are no accident, whatever they
-//! show. In the HoloLens office with every tenth image under another's pose 29 keyframes have 0 to 16 observations where the median has 216;
+//! show; but for those whose matches with the images that should see the same do lie where the poses have them: cameras that hardly move make
+//! no points. In the HoloLens office with every tenth image under another's pose 29 keyframes have 0 to 16 observations where the median has 216;
 //! of right images the least has an eighth of the median.
 
-use lsfb_geometry::{Rig, StampedPose};
+use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
 use lsfb_types::quantile;
 use rayon::prelude::*;
 
@@ -35,6 +36,11 @@ const COMPARED: usize = 20;
 /// of the right poses most do.
 const LEAST_MATCHES: usize = 30;
 const LEAST_RIGHT: f64 = 0.3;
+/// Images that should see the same as another one look so much alike at most, radians; the nearest of them are asked, and this share of their matches
+/// must lie where the poses have them.
+const SAME_DIRECTION_RAD: f64 = 0.5;
+const ASKED: usize = 6;
+const CLEARLY_RIGHT: f64 = 0.7;
 /// Images that are named.
 const NAMED: usize = 5;
 
@@ -57,7 +63,12 @@ pub(super) fn strangers(
     let Mapped { images, points, .. } = mapped;
     let counts = Counts::of(images, points);
     let mut said = Vec::new();
-    let elsewhere = mapped.elsewhere(&counts.below(SUSPECT_SHARE))?;
+    let suspects = counts.below(SUSPECT_SHARE);
+    let prepared = match suspects.is_empty() {
+        true => Vec::new(),
+        false => mapped.prepared()?,
+    };
+    let elsewhere = mapped.elsewhere(&prepared, &suspects);
     if let Some(first) = elsewhere.first() {
         let named: Vec<String> = elsewhere
             .iter()
@@ -79,7 +90,12 @@ pub(super) fn strangers(
             first.right,
         ));
     }
-    said.extend(counts.strange());
+    let lonely = counts.below(LEAST_SHARE);
+    if is_no_accident(lonely.len(), images.len()) {
+        let lonely = lonely.par_iter();
+        let strange = lonely.filter(|image| !mapped.agrees_with_neighbours(&prepared, **image));
+        said.extend(strangeness(strange.count(), images.len()));
+    }
     Ok(said)
 }
 
@@ -119,17 +135,20 @@ impl Counts {
         };
         (0..self.observations.len()).filter(few).collect()
     }
+}
 
-    /// What is wrong where too many share hardly anything.
-    fn strange(&self) -> Option<String> {
-        let (strange, all) = (self.below(LEAST_SHARE).len(), self.observations.len());
-        let is_wrong = strange >= FEWEST && strange as f64 >= FEWEST_SHARE * all as f64;
-        is_wrong.then(|| {
-            format!(
-                "{strange} of {all} images share hardly anything with those that should see the same: their poses are not theirs"
-            )
-        })
-    }
+/// Whether so many of all images share hardly anything for a reason.
+fn is_no_accident(strange: usize, all: usize) -> bool {
+    strange >= FEWEST && strange as f64 >= FEWEST_SHARE * all as f64
+}
+
+/// What is wrong where too many share hardly anything.
+fn strangeness(strange: usize, all: usize) -> Option<String> {
+    is_no_accident(strange, all).then(|| {
+        format!(
+            "{strange} of {all} images share hardly anything with those that should see the same: their poses are not theirs"
+        )
+    })
 }
 
 /// An image that resembles one which it should not.
@@ -141,19 +160,42 @@ struct Elsewhere {
 }
 
 impl Mapped<'_> {
-    /// Those of some images that were taken elsewhere.
-    fn elsewhere(&self, suspects: &[usize]) -> Result<Vec<Elsewhere>, Error> {
-        if suspects.is_empty() {
-            return Ok(Vec::new());
-        }
-        let prepared: Vec<PreparedImage> = self
-            .images
-            .par_iter()
+    /// The images, ready to be matched.
+    fn prepared(&self) -> Result<Vec<PreparedImage<'_>>, Error> {
+        let images = self.images.par_iter();
+        images
             .map(|image| prepare(self.rig, self.keyframes, image))
-            .collect::<Result<_, _>>()?;
+            .collect()
+    }
+
+    /// Whether an image shows what the images next to it do, where the poses have it.
+    fn agrees_with_neighbours(&self, prepared: &[PreparedImage], image: usize) -> bool {
+        let own = prepared[image].placed.world_from_camera;
+        let looks_along = |pose: &Se3| pose.rotation * Vector3::z();
+        let others = (0..prepared.len()).filter(|other| *other != image);
+        let near = others.filter_map(|other| {
+            let pose = &prepared[other].placed.world_from_camera;
+            let turned = looks_along(&own).angle(&looks_along(pose));
+            let apart = (pose.translation - own.translation).norm();
+            (turned < SAME_DIRECTION_RAD).then_some((apart, other))
+        });
+        let mut near: Vec<(f64, usize)> = near.collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.truncate(ASKED);
+        let compared = near
+            .iter()
+            .map(|(_, other)| compare_pair(prepared, image, *other, self.config));
+        let most = compared.max_by_key(|(matches, _)| *matches);
+        most.is_some_and(|(matches, right)| {
+            matches >= LEAST_MATCHES && right as f64 >= CLEARLY_RIGHT * matches as f64
+        })
+    }
+
+    /// Those of some images that were taken elsewhere.
+    fn elsewhere(&self, prepared: &[PreparedImage], suspects: &[usize]) -> Vec<Elsewhere> {
         let found = suspects.par_iter().filter_map(|image| {
             let resembles = self.most_alike(*image)?;
-            let (matches, right) = compare_pair(&prepared, *image, resembles, self.config);
+            let (matches, right) = compare_pair(prepared, *image, resembles, self.config);
             let contradicts =
                 matches >= LEAST_MATCHES && (right as f64) < LEAST_RIGHT * matches as f64;
             contradicts.then_some(Elsewhere {
@@ -163,7 +205,7 @@ impl Mapped<'_> {
                 right,
             })
         });
-        Ok(found.collect())
+        found.collect()
     }
 
     /// The image most features of another one vote for.
@@ -195,8 +237,6 @@ impl Mapped<'_> {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::Vector3;
-
     use super::*;
     use crate::features::{Features, Keypoint};
     use crate::hd_map::PointObservation;
@@ -234,8 +274,10 @@ mod tests {
             };
             (0..2000).map(point).collect()
         };
-        let strange =
-            |images: &[KeyframeImage], points: &[MapPoint]| Counts::of(images, points).strange();
+        let strange = |images: &[KeyframeImage], points: &[MapPoint]| {
+            let few = Counts::of(images, points).below(LEAST_SHARE);
+            strangeness(few.len(), images.len())
+        };
         assert_eq!(strange(&images, &points(0)), None);
         assert_eq!(strange(&images, &points(1)), None);
         for wrong in [4, 20, 30] {

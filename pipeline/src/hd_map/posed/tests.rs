@@ -239,6 +239,87 @@ fn poses_that_are_a_little_off_become_as_the_images_show_them() {
     assert!(points < map.point_count(), "{points}");
 }
 
+/// A camera that looks back, where nobody walks: its images make no point, and their poses are theirs.
+#[test]
+fn images_without_a_baseline_are_no_strangers() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut posed = walk(folder.path(), 1.0);
+    let mut back = posed.rig.cameras["cam0"].clone();
+    let about = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+    back.rig_from_camera.rotation = about * back.rig_from_camera.rotation;
+    posed.rig.cameras.insert("back".to_owned(), back.clone());
+    for i in 0..4 {
+        let t = 1.5 + 0.004 * f64::from(i);
+        let path = folder.path().join(format!("back{i}.bmp"));
+        write_bitmap(&path, &render(&Room::furnished(), &back, t).sample);
+        posed.images.push(PosedImage {
+            path,
+            camera: "back".to_owned(),
+            world_from_rig: world_from_rig(t),
+            instant: None,
+        });
+    }
+    let config = PosedMapConfig {
+        keyframe_distance_per_depth: 0.0,
+        keyframe_angle_deg: 0.0,
+        refine_cameras: false,
+        ..PosedMapConfig::default()
+    };
+    let map = build_map_from_posed_images(&posed, &config, &no_progress).expect("a map");
+    assert_eq!(map.failures(), &[] as &[String]);
+    // Under poses that are turned, another way each, they are.
+    for (i, image) in posed.images.iter_mut().skip(12).enumerate() {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.2 * i as f64 - 0.3);
+        image.world_from_rig.rotation = turn * image.world_from_rig.rotation;
+    }
+    let map = build_map_from_posed_images(&posed, &config, &no_progress).expect("a map");
+    let said = map.failures().join(" ");
+    assert!(said.contains("4 of 16 images"), "{said}");
+}
+
+/// Two cameras of a rig at each instant are one keyframe, and its pose is refined once.
+#[test]
+fn images_of_one_instant_are_one_keyframe() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut posed = walk(folder.path(), 1.0);
+    let mut right = posed.rig.cameras["cam0"].clone();
+    right.rig_from_camera.translation += Vector3::new(0.0, -0.12, 0.0);
+    posed.rig.cameras.insert("cam1".to_owned(), right.clone());
+    let left = std::mem::take(&mut posed.images);
+    for (i, image) in left.into_iter().enumerate() {
+        let path = folder.path().join(format!("right{i}.bmp"));
+        let t = 1.5 + 0.25 * i as f64;
+        write_bitmap(&path, &render(&Room::furnished(), &right, t).sample);
+        let right = PosedImage {
+            path,
+            camera: "cam1".to_owned(),
+            instant: Some(i),
+            ..image.clone()
+        };
+        posed.images.extend([
+            PosedImage {
+                instant: Some(i),
+                ..image
+            },
+            right,
+        ]);
+    }
+    let config = PosedMapConfig {
+        keyframe_distance_per_depth: 0.0,
+        keyframe_angle_deg: 0.0,
+        refine_cameras: false,
+        refine_poses: PoseRefinement {
+            enabled: true,
+            ..PoseRefinement::default()
+        },
+        ..PosedMapConfig::default()
+    };
+    let map = build_map_from_posed_images(&posed, &config, &no_progress).expect("a map");
+    assert_eq!(map.keyframe_count(), 12);
+    assert_eq!(map.cameras(), ["cam0", "cam1"]);
+    assert_eq!(map.failures(), &[] as &[String]);
+}
+
 #[test]
 fn images_that_make_no_map_are_an_error_that_says_why() {
     let folder = tempfile::tempdir().expect("folder");
