@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Rig, Se3, Vector3};
+use lsfb_geometry::{Rig, Se3};
 use rayon::prelude::*;
 
 use super::guided_matching::{GuidedPose, Query};
@@ -50,8 +50,6 @@ const FEWEST_FRAMES: usize = 2;
 const MOVES: usize = 3;
 /// Where less than this share is found of what is found where the walk is said to be, that is by chance.
 const LEAST_SHARE: f64 = 0.1;
-/// Of two images of the map the nearer one; where they look in opposite directions that counts as so many metres, twice.
-const DIRECTION_M: f64 = 4.0;
 
 /// Other places of a walk, those where most of it is found first; none where its images are found nowhere else.
 pub(crate) fn find_elsewhere(
@@ -241,7 +239,7 @@ fn pose_near(
     world_from_rig: &Se3,
 ) -> Option<GuidedPose> {
     with_query(localizer, rig, features, |query| {
-        let points = points_around(localizer, query.cameras, world_from_rig);
+        let points = localizer.points_around(query.cameras, world_from_rig);
         let found = query.guided_pose(&points, world_from_rig, &localizer.guided());
         found.filter(|found| !contradict(&found.world_from_rig, world_from_rig))
     })
@@ -257,7 +255,7 @@ pub(crate) fn localize_near(
     with_query(localizer, rig, features, |query| {
         let candidates = features.iter().map(|f| localizer.look_up(f));
         let candidates: Vec<Vec<Candidates>> = candidates.collect();
-        let points = points_around(localizer, query.cameras, near);
+        let points = localizer.points_around(query.cameras, near);
         let seen = MatchedQuery {
             query,
             candidates: &candidates,
@@ -276,33 +274,4 @@ pub(crate) fn localize_near(
             && !contradict(&found.world_from_rig, near);
         is_found.then_some(found)
     })
-}
-
-/// Points of the map's images that look most as the cameras of a rig do, ascending.
-pub(super) fn points_around(
-    localizer: &Localizer,
-    cameras: &[MountedCamera],
-    world_from_rig: &Se3,
-) -> Vec<u32> {
-    let images: Vec<u32> = cameras
-        .iter()
-        .flat_map(|camera| nearest_images(localizer, &(*world_from_rig * camera.rig_from_camera)))
-        .collect();
-    localizer.places.points_of(&images)
-}
-
-/// Numbers of the map's images that look most as a camera does from a pose.
-fn nearest_images(localizer: &Localizer, world_from_camera: &Se3) -> Vec<u32> {
-    let ahead = |pose: &Se3| pose.rotation * Vector3::z();
-    let away = |pose: &Se3| {
-        let apart_m = (pose.translation - world_from_camera.translation).norm();
-        apart_m + DIRECTION_M * (1.0 - ahead(pose).dot(&ahead(world_from_camera)))
-    };
-    let poses = localizer.places.poses(localizer.map());
-    let mut images: Vec<(f64, u32)> = poses
-        .filter_map(|(image, pose)| Some((away(&pose?), image)))
-        .collect();
-    images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    images.truncate(localizer.config.place_images);
-    images.into_iter().map(|(_, image)| image).collect()
 }

@@ -4,6 +4,7 @@ use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3};
 use lsfb_types::{ImuSample, Stamped, Timestamp, median};
 
 use super::prior::{ExpectedPose, PoseKnowledge, Up};
+use super::sequence::localized_shares;
 use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, PreintegratedImu};
 
@@ -95,10 +96,8 @@ impl<'a> WalkMotion<'a> {
     }
 }
 
-/// Of the instants within so many seconds, half before and half after, this share must be localized: those few that are recognised where most are not may
-/// all be taken in by the same likeness, and what is looked for next to them is found there.
-const WINDOW_SECS: f64 = 10.0;
-const LEAST_RECOGNISED: f64 = 1.0 / 3.0;
+/// Of the instants within ten seconds this share must be localized: what is looked for next to poses that are wrong together is found there.
+const LEAST_LOCALIZED: f64 = 1.0 / 3.0;
 
 /// Poses lean less against the IMU, in the median, where the map's z axis points upwards and the IMU's axes are right, radians.
 const LEAST_LEAN_RAD: f64 = 0.05;
@@ -119,17 +118,10 @@ pub(super) fn knowledge(
         Some(up.lean_rad(pose))
     });
     let is_upright = median(leans.collect()).is_some_and(|lean| lean < LEAST_LEAN_RAD);
-    let half = (0.5e9 * WINDOW_SECS) as i64;
-    let is_recognised = |time: Timestamp| {
-        let first = times.partition_point(|t| *t < time + -half);
-        let end = times.partition_point(|t| *t <= time + half);
-        let around = &found[first..end];
-        let recognised = around.iter().flatten().count();
-        recognised as f64 >= LEAST_RECOGNISED * around.len() as f64
-    };
-    let lost = times.iter().zip(found);
-    lost.map(|(time, found)| {
-        if found.is_some() || !is_recognised(*time) {
+    let shares = localized_shares(times, found.iter().map(Option::is_some));
+    let lost = times.iter().zip(found).zip(shares);
+    lost.map(|((time, found), share)| {
+        if found.is_some() || share < LEAST_LOCALIZED {
             return PoseKnowledge::default();
         }
         let after = localized.partition_point(|(then, ..)| then < time);

@@ -79,6 +79,11 @@ impl Keep for NotLocalizedReason {
                 agreeing.put(out);
                 contradicting.put(out);
             }
+            Self::HardlyRecognised { best, share } => {
+                kind(9, out);
+                best.put(out);
+                share.put(out);
+            }
         }
     }
 
@@ -116,6 +121,10 @@ impl Keep for NotLocalizedReason {
                 best: Keep::take(from)?,
                 agreeing: Keep::take(from)?,
                 contradicting: Keep::take(from)?,
+            },
+            9 => Self::HardlyRecognised {
+                best: Keep::take(from)?,
+                share: Keep::take(from)?,
             },
             _ => return None,
         })

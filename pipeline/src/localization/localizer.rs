@@ -2,7 +2,6 @@ use lsfb_geometry::{Rig, Se3};
 
 use super::acceptance::{Agreement, FirstMatches};
 use super::config::LocalizerConfig;
-use super::elsewhere::points_around;
 use super::guided_matching::{GuidedConfig, GuidedPose, Query};
 use super::map_error::{FEWEST_POINTS, MapError};
 use super::matches::MountedCamera;
@@ -133,7 +132,7 @@ impl Localizer {
         let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
         let votes = self.places.vote(&all, self.config.min_votes);
         let around = known.pose.map_or_else(Vec::new, |expected| {
-            points_around(self, &cameras, &expected.world_from_rig)
+            self.points_around(&cameras, &expected.world_from_rig)
         });
         if votes.is_empty() && around.is_empty() {
             let best = self.places.vote(&all, 1).first().map_or(0, |v| v.votes);
@@ -309,6 +308,21 @@ impl Localizer {
                 kept
             })
             .collect()
+    }
+
+    /// Points of the map's images that look most as the cameras of a rig do, ascending.
+    pub(super) fn points_around(
+        &self,
+        cameras: &[MountedCamera],
+        world_from_rig: &Se3,
+    ) -> Vec<u32> {
+        let (places, count) = (&self.places, self.config.place_images);
+        let nearest = |camera: &MountedCamera| {
+            let world_from_camera = *world_from_rig * camera.rig_from_camera;
+            places.nearest(&self.map, &world_from_camera, count)
+        };
+        let images: Vec<u32> = cameras.iter().flat_map(nearest).collect();
+        places.points_of(&images)
     }
 
     /// The pose among the points of a place, if there is one.

@@ -101,6 +101,13 @@ pub enum NotLocalizedReason {
         /// Those on the longest way through one that contradicts it.
         contradicting: usize,
     },
+    /// Hardly anything of the walk around it is recognised.
+    HardlyRecognised {
+        /// The pose, with what speaks for it: to be shown, not to be used.
+        best: Box<Localization>,
+        /// The share of the instants within ten seconds that is.
+        share: f64,
+    },
 }
 
 /// A query that could not be localized.
@@ -172,6 +179,11 @@ impl fmt::Display for NotLocalized {
                 "the poses of the seconds around it contradict it: of them {contradicting} can be walked through without it, {agreeing} with it; \
                  the place may look like another"
             ),
+            NotLocalizedReason::HardlyRecognised { share, .. } => write!(
+                f,
+                "of the instants within ten seconds only {:.0} % are recognised: those may all be at another place that looks alike",
+                100.0 * share
+            ),
         }
     }
 }
@@ -184,7 +196,8 @@ impl NotLocalized {
         match &self.reason {
             NotLocalizedReason::Improbable { best, .. }
             | NotLocalizedReason::FocalLength { best, .. }
-            | NotLocalizedReason::Sequence { best, .. } => Some(best),
+            | NotLocalizedReason::Sequence { best, .. }
+            | NotLocalizedReason::HardlyRecognised { best, .. } => Some(best),
             _ => None,
         }
     }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::expected::{WalkMotion, knowledge};
 use super::joint_focal_length::{JointFocalLength, JointVerdict};
 use super::prior::PoseKnowledge;
-use super::sequence::refuse_contradicted;
+use super::sequence::{refuse_contradicted, refuse_hardly_recognised};
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
 use crate::features::{FeatureDetector, FrameFeatures};
@@ -206,7 +206,7 @@ pub struct WalkLocalization {
 }
 
 /// Localizes the images of each instant of a walk on their own, and refuses poses that those of the seconds around them contradict, in a
-/// map in metres. Instants that are not found so are looked for once more with what those around them and the IMU say of their poses.
+/// map in metres, and the few of a walk that is hardly recognised. Instants that are not found so are looked for once more with what those around them and the IMU say of their poses.
 /// Refuses a detector of another feature than the map's.
 pub fn localize_recording(
     localizer: &Localizer,
@@ -231,7 +231,7 @@ pub fn localize_recording_in_stages(
     let read = read_frames(recording, &rig, ImageClock::Rig, detector, stages, progress)?;
     let found = localize_frames(localizer, &read.frames, &rig, stages, progress)?;
     let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
-    let found = refuse_contradicted(&times, found);
+    let found = refuse_hardly_recognised(&times, refuse_contradicted(&times, found));
     let (samples, damaged_samples) = read_imu_if_any(recording)?;
     let known = Known {
         samples: &samples,

@@ -13,6 +13,8 @@ use super::outcome::{Localization, NotLocalized, NotLocalizedReason};
 
 /// Poses within this time vote for one another: half before, half after.
 const WINDOW_SECS: f64 = 10.0;
+/// Share of the instants of a window that must be localized.
+const LEAST_LOCALIZED: f64 = 0.2;
 /// Of a window with more poses on one side every so many vote that no more do.
 const VOTERS_PER_SIDE: usize = 50;
 /// By how many poses the way through a pose must be longer, as a share of those that contradict it; one at least.
@@ -60,6 +62,46 @@ impl Voter {
         off.translation.norm() <= bound(FASTEST_M_S, variance_m2, UNKNOWN_M)
             && off.rotation.angle() <= bound(FASTEST_RAD_S, variance_rad2, UNKNOWN_RAD)
     }
+}
+
+/// Of the instants within ten seconds of each, in order of time, the share that is localized.
+pub(super) fn localized_shares(
+    times: &[Timestamp],
+    is_localized: impl Iterator<Item = bool>,
+) -> Vec<f64> {
+    let mut before = vec![0usize];
+    for (k, is_localized) in is_localized.enumerate() {
+        before.push(before[k] + usize::from(is_localized));
+    }
+    let half = (0.5e9 * WINDOW_SECS) as i64;
+    let share = |time: &Timestamp| {
+        let first = times.partition_point(|t| *t < *time + -half);
+        let end = times.partition_point(|t| *t <= *time + half);
+        (before[end] - before[first]) as f64 / (end - first).max(1) as f64
+    };
+    times.iter().map(share).collect()
+}
+
+/// Refuses the few poses of a walk that is hardly recognised: in a corridor with the same doors from either end, one of ten images was found, each for sure, and
+/// all of them at the wrong end. Instants in order of time.
+pub(super) fn refuse_hardly_recognised(
+    times: &[Timestamp],
+    found: Vec<Result<Localization, NotLocalized>>,
+) -> Vec<Result<Localization, NotLocalized>> {
+    let shares = localized_shares(times, found.iter().map(Result::is_ok));
+    let judged = found.into_iter().zip(shares).map(|(found, share)| {
+        let found = found?;
+        if share >= LEAST_LOCALIZED {
+            return Ok(found);
+        }
+        Err(NotLocalized {
+            reason: NotLocalizedReason::HardlyRecognised {
+                best: Box::new(found),
+                share,
+            },
+        })
+    });
+    judged.collect()
 }
 
 /// Refuses poses of a walk that others contradict; instants in order of time.
@@ -236,6 +278,29 @@ mod tests {
     fn of_two_places_as_often_found_neither_is_given() {
         let given = walk(200, |k| k % 2 == 0);
         assert!(given.iter().all(|given| !given), "{given:?}");
+    }
+
+    #[test]
+    fn the_few_poses_of_a_walk_that_is_hardly_recognised_are_refused() {
+        let given = |count: usize, is_found: fn(usize) -> bool| -> Vec<bool> {
+            let nowhere = || NotLocalized {
+                reason: NotLocalizedReason::NoPose,
+            };
+            let found = |k: usize| match is_found(k) {
+                true => at(0.1 * k as f64),
+                false => Err(nowhere()),
+            };
+            let times: Vec<Timestamp> = (0..count as i64)
+                .map(|k| Timestamp::from_nanos(100_000_000 * k))
+                .collect();
+            let judged = refuse_hardly_recognised(&times, (0..count).map(found).collect());
+            judged.iter().map(Result::is_ok).collect()
+        };
+        assert!(given(100, |k| (50..59).contains(&k)).iter().all(|g| !g));
+        let half = given(200, |k| k >= 100);
+        assert!(half[100..].iter().all(|g| *g), "{half:?}");
+        assert_eq!(given(1, |_| true), [true]);
+        assert!(given(0, |_| true).is_empty());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Which images of the map see what a query sees.
 
-use lsfb_geometry::Se3;
+use lsfb_geometry::{Se3, Vector3};
 
 use crate::hd_map::{HdMap, MapNeighbour};
 
@@ -10,6 +10,9 @@ pub(crate) struct MapView {
     pub keyframe: u32,
     pub camera: u16,
 }
+
+/// Of two images the nearer one; where they look in opposite directions that counts as so many metres, twice.
+const DIRECTION_M: f64 = 4.0;
 
 /// The map's images and what they share.
 #[derive(Clone, Debug)]
@@ -64,7 +67,7 @@ impl Places {
     }
 
     /// Number of each image and `world_from_camera` of it; `None` where the map does not say.
-    pub fn poses<'a>(&'a self, map: &'a HdMap) -> impl Iterator<Item = (u32, Option<Se3>)> + 'a {
+    fn poses<'a>(&'a self, map: &'a HdMap) -> impl Iterator<Item = (u32, Option<Se3>)> + 'a {
         let pose = |view: &MapView| {
             let name = map.cameras().get(usize::from(view.camera))?;
             let mounted = map.rig().cameras.get(name)?;
@@ -72,6 +75,22 @@ impl Places {
         };
         let images = self.images.iter().map(pose);
         (0..).zip(images)
+    }
+
+    /// Numbers of the images that look most as a camera does from a pose, `count` at most.
+    pub fn nearest(&self, map: &HdMap, world_from_camera: &Se3, count: usize) -> Vec<u32> {
+        let ahead = |pose: &Se3| pose.rotation * Vector3::z();
+        let away = |pose: &Se3| {
+            let apart_m = (pose.translation - world_from_camera.translation).norm();
+            apart_m + DIRECTION_M * (1.0 - ahead(pose).dot(&ahead(world_from_camera)))
+        };
+        let mut images: Vec<(f64, u32)> = self
+            .poses(map)
+            .filter_map(|(image, pose)| Some((away(&pose?), image)))
+            .collect();
+        images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        images.truncate(count);
+        images.into_iter().map(|(_, image)| image).collect()
     }
 
     /// Images with at least `min_votes`, most votes first. A feature votes once for each image that sees a candidate

@@ -24,7 +24,8 @@ use unfinished::Unfinished;
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
 /// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
-/// 0.99. With --out, the same command continues behind the images that it had localized when it was stopped: they are kept in
+/// 0.99. Instants of a walk that are lost are looked for once more where those around them and the IMU have them, and where less than
+/// a fifth of a walk is recognised nothing is given. With --out, the same command continues behind the images that it had localized when it was stopped: they are kept in
 /// OUT.unfinished until then.
 ///
 /// Images may lie in a folder without any pose, with the intrinsics of their cameras as one of these has them:
