@@ -11,14 +11,7 @@ use crate::Error;
 use crate::features::{Feature, FeatureDetector};
 use crate::frames::{ImageClock, ReadFrames, read_frames, read_imu_if_any};
 use crate::kept_stages::KeptStages;
-
-/// Stands for the noise of an IMU that is not there: nothing is weighed by it.
-const NO_IMU: ImuNoiseModel = ImuNoiseModel {
-    gyro_noise_density: 1e-3,
-    accel_noise_density: 1e-2,
-    gyro_bias_walk: 1e-4,
-    accel_bias_walk: 1e-3,
-};
+use crate::preintegration::NO_WEIGHT;
 
 /// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
 pub struct RecordedWalk {
@@ -68,7 +61,7 @@ impl RecordedWalk {
         let (mut imu, damaged_samples) = read_imu_if_any(recording)?;
         let noise = match rig.imu_noise() {
             Some(noise) => noise.clone(),
-            None if imu.is_empty() => NO_IMU,
+            None if imu.is_empty() => NO_WEIGHT,
             None => return Err(missing("IMU")),
         };
         let frozen_secs = match imu.is_empty() {

@@ -15,7 +15,6 @@ use super::guided_matching::{GuidedPose, Query};
 use super::localizer::{Found, Localizer, MatchedQuery, contradict};
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization};
-use super::prior::PoseKnowledge;
 use super::voting::Candidates;
 use crate::features::FrameFeatures;
 
@@ -173,13 +172,7 @@ fn elsewhere_of(
         let place = places.neighbourhood(vote.image, localizer.config.place_images);
         let points = places.points_of(&place);
         tried.extend(&place);
-        let seen = MatchedQuery {
-            query,
-            candidates: &candidates,
-            around: &[],
-            votes: &[],
-            known: &PoseKnowledge::default(),
-        };
+        let seen = MatchedQuery::alone(query, &candidates);
         let found = localizer.pose_at(&seen, points, vote.votes);
         let found = found.map(|found| found.pose);
         let found = found.filter(|pose| {
@@ -256,20 +249,15 @@ pub(crate) fn localize_near(
         let candidates = features.iter().map(|f| localizer.look_up(f));
         let candidates: Vec<Vec<Candidates>> = candidates.collect();
         let points = localizer.points_around(query.cameras, near);
-        let seen = MatchedQuery {
-            query,
-            candidates: &candidates,
-            around: &[],
-            votes: &[],
-            known: &PoseKnowledge::default(),
-        };
+        let seen = MatchedQuery::alone(query, &candidates);
         let hypothesis = localizer.pose_at(&seen, points, 0)?;
         let found = Found {
             hypothesis,
             places: 1,
             rival_inliers: 0,
+            known_decades: 0.0,
         };
-        let found = localizer.judge(found, query, 0.0)?;
+        let found = localizer.judge(found, query)?;
         let is_found = found.probability >= localizer.min_probability()
             && !contradict(&found.world_from_rig, near);
         is_found.then_some(found)

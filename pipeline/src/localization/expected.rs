@@ -1,12 +1,12 @@
 //! What a walk's IMU and its other poses say of an instant that was not localized.
 
-use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3};
+use lsfb_geometry::{Matrix6, Se3};
 use lsfb_types::{ImuSample, Stamped, Timestamp, median};
 
 use super::prior::{ExpectedPose, PoseKnowledge, Up};
 use super::sequence::localized_shares;
 use crate::odometry::GRAVITY_M_S2;
-use crate::preintegration::{ImuBias, PreintegratedImu};
+use crate::preintegration::{ImuBias, NO_WEIGHT, PreintegratedImu};
 
 /// The accelerometer is averaged over this much time, half before and half after: who walks neither speeds up nor slows down for long.
 const UP_SECS: f64 = 2.0;
@@ -36,14 +36,7 @@ impl<'a> WalkMotion<'a> {
     }
 
     fn between(&self, start: Timestamp, end: Timestamp) -> Option<PreintegratedImu> {
-        // Nothing is weighed by it.
-        let noise = ImuNoiseModel {
-            gyro_noise_density: 1e-3,
-            accel_noise_density: 1e-2,
-            gyro_bias_walk: 1e-4,
-            accel_bias_walk: 1e-3,
-        };
-        PreintegratedImu::integrate(self.samples, start, end, ImuBias::default(), &noise).ok()
+        PreintegratedImu::integrate(self.samples, start, end, ImuBias::default(), &NO_WEIGHT).ok()
     }
 
     /// Which way is up; `None` where the IMU does not cover the time around, or the device was thrown about.
@@ -101,6 +94,8 @@ const LEAST_LOCALIZED: f64 = 1.0 / 3.0;
 
 /// Poses lean less against the IMU, in the median, where the map's z axis points upwards and the IMU's axes are right, radians.
 const LEAST_LEAN_RAD: f64 = 0.05;
+/// So many poses, evenly over the walk, tell whether it does.
+const TELLING: usize = 100;
 
 /// What is known of the instants that were not localized, by those that were; of these, and where nothing is known, nothing.
 pub(super) fn knowledge(
@@ -113,7 +108,12 @@ pub(super) fn knowledge(
         .zip(found)
         .filter_map(|(time, found)| found.map(|(pose, covariance)| (*time, pose, covariance)))
         .collect();
-    let leans = localized.iter().filter_map(|(time, pose, _)| {
+    if localized.len() == times.len() {
+        return vec![PoseKnowledge::NOTHING; times.len()];
+    }
+    let every = localized.len().div_ceil(TELLING).max(1);
+    let leans = localized.iter().step_by(every);
+    let leans = leans.filter_map(|(time, pose, _)| {
         let up = motion.up(*time)?;
         Some(up.lean_rad(pose))
     });
@@ -122,7 +122,7 @@ pub(super) fn knowledge(
     let lost = times.iter().zip(found).zip(shares);
     lost.map(|((time, found), share)| {
         if found.is_some() || share < LEAST_LOCALIZED {
-            return PoseKnowledge::default();
+            return PoseKnowledge::NOTHING;
         }
         let after = localized.partition_point(|(then, ..)| then < time);
         let around = [after.checked_sub(1), Some(after)].into_iter().flatten();

@@ -29,20 +29,11 @@ struct FocalEvidence {
 
 impl Localizer {
     /// The pose with its evidence and covariance; `None` where its matches do not determine it.
-    /// `known_decades` is what knowledge beforehand says against chance.
-    pub(super) fn judge(
-        &self,
-        found: Found,
-        query: &Query,
-        known_decades: f64,
-    ) -> Option<Localization> {
+    pub(super) fn judge(&self, found: Found, query: &Query) -> Option<Localization> {
         let pose = &found.hypothesis.pose;
         let resolved = query.resolve(&pose.matches);
         let near = self.near_focal_length(&found.hypothesis, query, &resolved);
-        let evidence = Evidence {
-            known_decades,
-            ..self.evidence(&found, query, &resolved, near)
-        };
+        let evidence = self.evidence(&found, query, &resolved, near);
         let posed = PosedMatches {
             cameras: query.cameras,
             matches: &resolved,
@@ -92,7 +83,7 @@ impl Localizer {
             first_inliers: agreement.inliers,
             chance_level: agreement.chance_level,
             log10_false_alarms: agreement.log10_false_alarms(*places),
-            known_decades: 0.0,
+            known_decades: found.known_decades,
             guided_inliers: pose.matches.len(),
             decoy_inliers: query.decoy_inliers(&hypothesis.points, pose, &self.guided()),
             image_spread: largest_spread(query, resolved),

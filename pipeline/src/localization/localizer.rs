@@ -43,17 +43,32 @@ pub(super) struct Found {
     pub places: usize,
     /// First inliers of the best pose that contradicts it.
     pub rival_inliers: usize,
+    /// What was known of it beforehand says against chance: see [`PoseKnowledge::decades`].
+    pub known_decades: f64,
 }
 
 /// A query with what the map says of it.
 pub(super) struct MatchedQuery<'a> {
-    pub query: &'a Query<'a>,
+    query: &'a Query<'a>,
     /// Points that each feature of each frame may show.
-    pub candidates: &'a [Vec<Candidates>],
+    candidates: &'a [Vec<Candidates>],
     /// Points of the map's images around where the rig should be; none where nobody knows that.
-    pub around: &'a [u32],
-    pub votes: &'a [Vote],
-    pub known: &'a PoseKnowledge,
+    around: &'a [u32],
+    votes: &'a [Vote],
+    known: &'a PoseKnowledge,
+}
+
+impl<'a> MatchedQuery<'a> {
+    /// With places and a pose that are not chosen by votes or by anything known.
+    pub fn alone(query: &'a Query<'a>, candidates: &'a [Vec<Candidates>]) -> Self {
+        Self {
+            query,
+            candidates,
+            around: &[],
+            votes: &[],
+            known: &PoseKnowledge::NOTHING,
+        }
+    }
 }
 
 impl Localizer {
@@ -89,7 +104,7 @@ impl Localizer {
         frames: &[FrameFeatures],
         rig: &Rig,
     ) -> Result<Localization, NotLocalized> {
-        self.localize_known(frames, rig, &PoseKnowledge::default())
+        self.localize_known(frames, rig, &PoseKnowledge::NOTHING)
     }
 
     /// [`Localizer::localize`] with what is known of the pose beforehand: where it contradicts that there is none.
@@ -221,9 +236,9 @@ impl Localizer {
             hypothesis: best,
             places,
             rival_inliers,
+            known_decades: seen.known.decades(),
         };
-        let decades = seen.known.decades();
-        Some((self.judge(found, seen.query, decades)?, places))
+        Some((self.judge(found, seen.query)?, places))
     }
 
     /// The cameras of the frames: those of the map's own images as these showed them.

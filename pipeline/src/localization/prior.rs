@@ -81,6 +81,12 @@ impl ExpectedPose {
 }
 
 impl PoseKnowledge {
+    /// Nothing is known.
+    pub const NOTHING: Self = Self {
+        up: None,
+        pose: None,
+    };
+
     /// Whether a pose contradicts it.
     pub(super) fn contradicts(&self, world_from_rig: &Se3) -> bool {
         let leans = self

@@ -269,8 +269,8 @@ fn localize_frames(
     stages: &KeptStages,
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
-    let nothing = PoseKnowledge::default();
-    let all: Vec<_> = frames.iter().map(|frame| (frame, nothing)).collect();
+    let alone = frames.iter().map(|frame| (frame, PoseKnowledge::NOTHING));
+    let all: Vec<_> = alone.collect();
     let found = localize_parts(localizer, &all, rig, "localized", stages, progress)?;
     Ok(judge_together(found, localizer.min_probability()))
 }
@@ -300,7 +300,7 @@ fn localize_lost(
         .collect();
     let motion = WalkMotion::new(known.samples);
     let knowledge = knowledge(&motion, known.times, &poses);
-    let is_known = |k: &usize| knowledge[*k] != PoseKnowledge::default();
+    let is_known = |k: &usize| knowledge[*k] != PoseKnowledge::NOTHING;
     let lost: Vec<usize> = (0..frames.len()).filter(is_known).collect();
     let asked: Vec<(&FeatureFrame, PoseKnowledge)> =
         lost.iter().map(|k| (&frames[*k], knowledge[*k])).collect();
@@ -327,8 +327,8 @@ pub(crate) fn localize_frames_apart(
 ) -> Result<Vec<Option<Result<Localization, NotLocalized>>>, Error> {
     let times: Vec<Timestamp> = frames.iter().map(|frame| frame.time).collect();
     let of = |name: &str, chosen: &[usize]| {
-        let nothing = PoseKnowledge::default();
-        let frames: Vec<_> = chosen.iter().map(|k| (&frames[*k], nothing)).collect();
+        let alone = chosen.iter().map(|k| (&frames[*k], PoseKnowledge::NOTHING));
+        let frames: Vec<_> = alone.collect();
         localize_parts(localizer, &frames, rig, name, stages, progress)
     };
     let sparse = times_apart(&times, apart_secs);

@@ -84,7 +84,7 @@ pub fn estimate_pose(
     matches: &[PointMatch],
     config: &RansacConfig,
 ) -> Option<PoseEstimate> {
-    estimate_known_pose(cameras, matches, &PoseKnowledge::default(), config)
+    estimate_known_pose(cameras, matches, &PoseKnowledge::NOTHING, config)
 }
 
 /// [`estimate_pose`] among poses that do not contradict what is known: where up is, every second sample has two matches.

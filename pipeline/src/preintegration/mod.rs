@@ -264,6 +264,14 @@ impl Reading {
     }
 }
 
+/// Stands for the noise of an IMU whose samples are weighed against nothing, or that is not there.
+pub(crate) const NO_WEIGHT: ImuNoiseModel = ImuNoiseModel {
+    gyro_noise_density: 1e-3,
+    accel_noise_density: 1e-2,
+    gyro_bias_walk: 1e-4,
+    accel_bias_walk: 1e-3,
+};
+
 /// Longest pause between samples that is bridged by a straight line, seconds.
 const LONGEST_PAUSE_SECS: f64 = 0.05;
 

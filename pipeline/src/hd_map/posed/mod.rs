@@ -157,6 +157,7 @@ pub fn build_map_from_posed_images(
         points: &points,
         map: &map,
         config: reconstruction,
+        depth,
     };
     let name_of = |image: usize| {
         let path = chosen.get(image).map(|i| &posed.images[*i].path);

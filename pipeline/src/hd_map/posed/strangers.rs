@@ -41,6 +41,8 @@ const LEAST_RIGHT: f64 = 0.3;
 const SAME_DIRECTION_RAD: f64 = 0.5;
 const ASKED: usize = 6;
 const CLEARLY_RIGHT: f64 = 0.7;
+/// Images this many times as far apart as points need make some.
+const SURE_PARALLAX: f64 = 2.0;
 /// Images that are named.
 const NAMED: usize = 5;
 
@@ -53,6 +55,8 @@ pub(super) struct Mapped<'a> {
     pub points: &'a [MapPoint],
     pub map: &'a HdMap,
     pub config: &'a ReconstructionConfig,
+    /// How deep the scene is, in the unit of the poses.
+    pub depth: f64,
 }
 
 /// What is wrong, in words: a sentence for each way in which it was found. `name` names an image.
@@ -168,7 +172,8 @@ impl Mapped<'_> {
             .collect()
     }
 
-    /// Whether an image shows what the images next to it do, where the poses have it.
+    /// Whether an image shows what the images next to it do, where the poses have it, and none is so far from it that both would make points: a camera that
+    /// is said to have moved and shows the same as before agrees with itself.
     fn agrees_with_neighbours(&self, prepared: &[PreparedImage], image: usize) -> bool {
         let own = prepared[image].placed.world_from_camera;
         let looks_along = |pose: &Se3| pose.rotation * Vector3::z();
@@ -180,6 +185,11 @@ impl Mapped<'_> {
             (turned < SAME_DIRECTION_RAD).then_some((apart, other))
         });
         let mut near: Vec<(f64, usize)> = near.collect();
+        let least = SURE_PARALLAX * self.config.triangulation.min_parallax_deg.to_radians();
+        let makes_points = least * self.depth..=self.config.max_baseline_per_depth * self.depth;
+        if near.iter().any(|(apart, _)| makes_points.contains(apart)) {
+            return false;
+        }
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         near.truncate(ASKED);
         let compared = near

@@ -267,6 +267,17 @@ fn images_without_a_baseline_are_no_strangers() {
     };
     let map = build_map_from_posed_images(&posed, &config, &no_progress).expect("a map");
     assert_eq!(map.failures(), &[] as &[String]);
+    // One that is said to move, and shows the same all the while, is one.
+    let mut frozen = posed.clone();
+    let first = frozen.images[12].clone();
+    for (i, image) in frozen.images.iter_mut().skip(12).enumerate() {
+        image.path = first.path.clone();
+        image.world_from_rig = first.world_from_rig;
+        image.world_from_rig.translation += Vector3::new(0.2, 0.2, 0.0) * i as f64;
+    }
+    let map = build_map_from_posed_images(&frozen, &config, &no_progress).expect("a map");
+    let said = map.failures().join(" ");
+    assert!(said.contains("4 of 16 images"), "{said}");
     // Under poses that are turned, another way each, they are.
     for (i, image) in posed.images.iter_mut().skip(12).enumerate() {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.2 * i as f64 - 0.3);
