@@ -25,6 +25,7 @@ FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
 FAR_LOG, FAR_DECADES = 0.035, 12.0
 DECADES_TOGETHER = {"sift": 0.028}
 DECADES_TOGETHER_LEARNED = 0.075
+OF_ONE_THING = 20.0
 
 
 def evidence(row):
@@ -39,12 +40,14 @@ def evidence(row):
 
 
 def against_likeness(row):
-    """Probability that the matches are not wrong together, and that no mirror explains them better."""
+    """Probability that the matches are not wrong together, as many as they are and as few, and that no mirror explains them better."""
     false_alarms = float(row["log10_false_alarms"])
     decades = max(-false_alarms / max(float(row["first_matches"]), 1) * float(row["first_spread"]), 1e-9)
     mirror = float(row.get("log10_false_alarms_mirrored", 0))
     together = DECADES_TOGETHER.get(row["feature"], DECADES_TOGETHER_LEARNED)
-    return 1 / (1 + (together / decades) ** 6) / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))
+    strength = max(float(row["guided_inliers"]) - false_alarms, 1e-9)
+    of_place = 1 / (1 + (together / decades) ** 6) / (1 + (OF_ONE_THING / strength) ** 6)
+    return of_place / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))
 
 
 def is_right(row):
@@ -87,13 +90,14 @@ def main():
     feature = np.array([row["feature"] for row in rows])
     alarms = 10.0 ** np.minimum([float(row["log10_false_alarms"]) for row in rows], 9)
     rival = np.array([float(row["rival_inliers"]) / max(float(row["first_inliers"]), 1) for row in rows])
+    twin = np.array([float(row["twin_inliers"]) / max(float(row["guided_inliers"]), 1) for row in rows])
     alike = np.array([against_likeness(row) for row in rows])
     contradicted = np.array([focal_contradicted(row) for row in rows])
     in_fit = ~np.isin(kind, WRONG_CAMERA)
     for fitted_on in ("office", "kitchen", None):
         used = in_fit & (place == fitted_on) if fitted_on else in_fit
         weights = fit(terms[used], right[used])
-        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) * alike / (1 + rival**6)
+        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) * alike / (1 + rival**6) / (1 + twin**6)
         accepted = (probability >= ACCEPTED) & ~contradicted
         print(f"fitted on {fitted_on or 'all'} ({used.sum()} queries): {weights.round(3)}")
         for one in dict.fromkeys(feature):

@@ -304,6 +304,7 @@ fn cameras_that_were_swapped_are_named() {
         camera: camera(),
         rig_from_camera,
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     };
     // The LiDAR is the rig; the other camera looks to the left.
     let here = truth().inverse();

@@ -64,6 +64,7 @@ fn camera_info_is_read_and_written_as_opencv_has_it() {
                 camera: found.camera,
                 rig_from_camera: Se3::identity(),
                 timing: Default::default(),
+                sigmas: Default::default(),
             },
         );
     }

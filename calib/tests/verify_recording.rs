@@ -42,6 +42,7 @@ fn rig(path: &Path) -> Rig {
             },
             rig_from_camera: camera_from_rig.inverse(),
             timing: Default::default(),
+            sigmas: Default::default(),
         };
         rig.cameras.insert(name.to_owned(), mounted);
     }

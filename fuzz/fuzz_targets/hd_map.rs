@@ -58,8 +58,7 @@ static WHOLE: LazyLock<Whole> = LazyLock::new(|| {
     let mounted = RigCamera {
         camera,
         rig_from_camera: Se3::identity(),
-        timing: Default::default(),
-    };
+        timing: Default::default(), sigmas: Default::default(), };
     rig.cameras.insert("cam0".to_owned(), mounted);
     let content = MapContent {
         rig: &rig,

@@ -276,6 +276,7 @@ mod tests {
                     rig_from_camera_s,
                     readout_s: 0.0,
                 },
+                sigmas: Default::default(),
             };
             rig.cameras.insert(name.to_owned(), mounted);
         }

@@ -33,6 +33,7 @@ fn rig() -> Rig {
         camera,
         rig_from_camera: Se3::exp(&pose.into()),
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     };
     Rig {
         cameras: [

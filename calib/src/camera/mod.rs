@@ -22,7 +22,7 @@ mod views;
 use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{Camera, Matrix6, Rig, Se3};
+use lsfb_geometry::{Camera, CameraSigmas, Matrix6, Rig, Se3};
 use lsfb_types::{Bounds, Finding, Limit, Progress, ProgressFn, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -110,6 +110,15 @@ pub struct Estimate {
     pub value: f64,
     /// Standard deviation, from the residuals' own spread, and from what a board does that is likely to be bent.
     pub sigma: f64,
+}
+
+/// Standard deviation of the focal lengths among a lens's parameters, as a share of them; `None` where they were not searched.
+pub(crate) fn focal_sigma(lens: &[Estimate]) -> Option<f64> {
+    let focal = lens
+        .iter()
+        .filter(|p| ["fx", "fy"].contains(&p.name.as_str()));
+    let share = focal.map(|p| p.sigma / p.value.abs());
+    CameraSigmas::estimated(share.fold(0.0, f64::max))
 }
 
 /// What is known of one camera.

@@ -1,8 +1,8 @@
 //! A calibration put into a rig, and as edges of the joint graph.
 
-use lsfb_geometry::{Rig, RigCamera, Se3};
+use lsfb_geometry::{CameraSigmas, Rig, RigCamera, Se3};
 
-use super::CameraCalibration;
+use super::{CameraCalibration, focal_sigma};
 use crate::TransformEdge;
 
 impl CameraCalibration {
@@ -15,16 +15,29 @@ impl CameraCalibration {
             .and_then(|c| rig.cameras.get(&c.name))
             .map_or_else(Se3::identity, |c| c.rig_from_camera);
         for calibrated in &self.cameras {
-            let timing = rig
-                .cameras
-                .get(&calibrated.name)
-                .map_or_else(Default::default, |c| c.timing);
+            let before = rig.cameras.get(&calibrated.name);
+            let timing = before.map(|c| c.timing).unwrap_or_default();
+            let rig_from_camera = rig_from_first * calibrated.camera_from_first.inverse();
+            let sigmas = before.map(|c| match c.rig_from_camera == rig_from_camera {
+                true => c.sigmas,
+                // Poses on the IMU are not known from here.
+                false => CameraSigmas {
+                    rotation_rad: None,
+                    translation_m: None,
+                    ..c.sigmas
+                },
+            });
+            let sigmas = CameraSigmas {
+                focal_share: focal_sigma(&calibrated.parameters),
+                ..sigmas.unwrap_or_default()
+            };
             rig.cameras.insert(
                 calibrated.name.clone(),
                 RigCamera {
                     camera: calibrated.camera,
-                    rig_from_camera: rig_from_first * calibrated.camera_from_first.inverse(),
+                    rig_from_camera,
                     timing,
+                    sigmas,
                 },
             );
         }

@@ -204,6 +204,7 @@ fn mounted(camera: Camera, rig_from_camera: Se3) -> RigCamera {
         camera,
         rig_from_camera,
         timing: Default::default(),
+        sigmas: Default::default(),
     }
 }
 

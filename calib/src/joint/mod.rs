@@ -14,7 +14,7 @@ mod swapped;
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Matrix6, Rig, Se3};
+use lsfb_geometry::{CameraSigmas, Matrix6, Rig, Se3};
 use lsfb_solver::{
     Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve_until_converged,
 };
@@ -311,6 +311,9 @@ impl JointCalibration {
         for sensor in &self.sensors {
             if let Some(camera) = rig.cameras.get_mut(&sensor.name) {
                 camera.rig_from_camera = sensor.imu_from_sensor;
+                let of_pose = CameraSigmas::of_pose(&sensor.covariance);
+                camera.sigmas.rotation_rad = of_pose.rotation_rad;
+                camera.sigmas.translation_m = of_pose.translation_m;
             } else if sensor.name == LIDAR
                 && let Some(lidar) = rig.lidar_mut()
             {

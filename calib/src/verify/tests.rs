@@ -81,6 +81,7 @@ fn rig() -> Rig {
         camera,
         rig_from_camera: Se3::new(forward, Vector3::new(0.05, y, 0.1)),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     Rig {
         cameras: [

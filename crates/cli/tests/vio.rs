@@ -103,6 +103,7 @@ fn write_rig(calibrated: &Path, change: impl Fn(&mut Rig), place: &Path) {
             },
             rig_from_camera: camera_from_rig.inverse(),
             timing: Default::default(),
+            sigmas: Default::default(),
         },
     );
     change(&mut rig);

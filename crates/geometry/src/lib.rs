@@ -30,8 +30,8 @@ pub use nalgebra::{
     Vector2, Vector3, Vector6,
 };
 pub use rig::{
-    CameraTiming, ImuNoiseModel, MAIN_IMU, MAIN_LIDAR, Rig, RigCamera, RigError, RigImu, RigLidar,
-    toml_problem,
+    CameraSigmas, CameraTiming, ImuNoiseModel, MAIN_IMU, MAIN_LIDAR, Rig, RigCamera, RigError,
+    RigImu, RigLidar, toml_problem,
 };
 pub use se3::Se3;
 pub use trajectory::{StampedPose, Trajectory};

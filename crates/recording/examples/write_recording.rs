@@ -20,6 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         camera: Camera::pinhole(64, 48, [50.0, 50.0], [31.5, 23.5]),
         rig_from_camera: Se3::identity(),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     rig.cameras.insert("cam0".to_owned(), camera);
     writer.attach_rig(&rig)?;

@@ -89,6 +89,7 @@ mod tests {
                 camera: Camera::pinhole(640, 400, [350.0, 350.25], [319.5, 199.5]),
                 rig_from_camera: Se3::identity(),
                 timing: Default::default(),
+                sigmas: Default::default(),
             },
         );
         let expected = r#"calibrated_unix_s = 1772359200

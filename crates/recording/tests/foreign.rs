@@ -45,6 +45,7 @@ fn write(path: &std::path::Path, compression: Compression) {
                     camera,
                     rig_from_camera: pose,
                     timing: Default::default(),
+                    sigmas: Default::default(),
                 },
             )]
             .into(),

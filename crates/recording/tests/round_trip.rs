@@ -35,6 +35,7 @@ fn rig() -> Rig {
                 camera,
                 rig_from_camera,
                 timing: Default::default(),
+                sigmas: Default::default(),
             },
         )
     });

@@ -146,6 +146,7 @@ fn cameras(
                     camera,
                     rig_from_camera: pose,
                     timing: Default::default(),
+                    sigmas: Default::default(),
                 },
             )
         })

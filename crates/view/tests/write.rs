@@ -30,6 +30,7 @@ fn rig() -> Rig {
                 camera: Camera::pinhole(160, 100, [90.0; 2], [79.5, 49.5]),
                 rig_from_camera: looking_forward,
                 timing: Default::default(),
+                sigmas: Default::default(),
             },
         )]
         .into(),

@@ -60,6 +60,7 @@ impl Tracks {
                 camera: Camera::pinhole(752, 480, [FOCAL_PX; 2], [0.0; 2]),
                 rig_from_camera: lenses.rig_from_camera[k],
                 timing: Default::default(),
+                sigmas: Default::default(),
             }),
             truth,
         };

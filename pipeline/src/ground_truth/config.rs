@@ -7,13 +7,20 @@ use crate::features::matching::MatchConfig;
 use crate::features::triangulation::TriangulationConfig;
 use crate::features::{LearnedConfig, SiftConfig};
 use crate::localization::LocalizerConfig;
-use crate::residuals::{CameraCorrection, entry};
+use crate::residuals::{CameraCorrection, MovingCamera, entry};
 
 /// Standard deviations of what is known beforehand beyond which a camera, or the IMU, is not as it is said to be.
 pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
 
 /// Those beyond which a camera bends the motion: what is known beforehand draws it back, away from where it is.
 pub(super) const BENDING_SIGMAS: f64 = 10.0;
+
+/// What a calibration does not know: how far a camera that is carried about has gone since, by warmth and knocks; standard deviations, radians, metres, share of the
+/// focal length, seconds.
+const SINCE_RAD: f64 = 2e-4;
+const SINCE_M: f64 = 2e-4;
+const SINCE_FOCAL: f64 = 3e-4;
+const SINCE_CLOCK_S: f64 = 1e-4;
 
 /// Parameters of the ground truth of a walk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,15 +79,15 @@ pub struct GroundTruthConfig {
     pub accel_bias_sigma_m_s2: f64,
     /// Standard deviation of gravity in the map, in direction, m/s².
     pub gravity_sigma_m_s2: f64,
-    /// Standard deviation of the cameras' attitudes in the rig file, radians.
+    /// Standard deviation of the cameras' attitudes in the rig file, radians, where that does not say how well they are known.
     pub extrinsics_sigma_rad: f64,
-    /// Standard deviation of the cameras' positions in the rig file, metres.
+    /// Standard deviation of the cameras' positions in the rig file, metres, where that does not say.
     pub extrinsics_sigma_m: f64,
-    /// Standard deviation of focal lengths in the rig file, as a share of them.
+    /// Standard deviation of focal lengths in the rig file, as a share of them, where that does not say.
     pub focal_sigma: f64,
-    /// Standard deviation of the cameras' clocks in the rig file, seconds.
+    /// Standard deviation of the cameras' clocks in the rig file, seconds, where that does not say.
     pub camera_clock_sigma_s: f64,
-    /// Standard deviation of readout times in the rig file, seconds: many do not state them, and mean zero by it.
+    /// Standard deviation of readout times in the rig file, seconds, where that does not say: many do not state the times, and mean zero by it.
     pub readout_sigma_s: f64,
     /// Map points recognised this long before or after are looked for again, seconds.
     pub guided_matching_window_secs: f64,
@@ -287,18 +294,32 @@ impl GroundTruthConfig {
         }
     }
 
-    /// Standard deviations of what the rig file says of a camera, entry by entry.
-    pub(super) fn calibration_sigmas(&self) -> CameraCorrection {
+    /// Standard deviations of what the rig file says of a camera, entry by entry: its own, where it has them, and what no calibration knows.
+    pub(super) fn calibration_sigmas(&self, camera: &MovingCamera) -> CameraCorrection {
+        let stated = camera.sigmas();
+        let known = |stated: Option<f64>, unsaid: f64, since: f64| {
+            stated.map_or(unsaid, |sigma| sigma.hypot(since))
+        };
         let mut sigmas = CameraCorrection::zeros();
-        sigmas
-            .fixed_rows_mut::<3>(entry::TURN)
-            .fill(self.extrinsics_sigma_rad);
-        sigmas
-            .fixed_rows_mut::<3>(entry::SHIFT)
-            .fill(self.extrinsics_sigma_m);
-        sigmas[entry::FOCAL] = self.focal_sigma;
-        sigmas[entry::CLOCK] = self.camera_clock_sigma_s;
-        sigmas[entry::READOUT] = self.readout_sigma_s;
+        for axis in 0..3 {
+            sigmas[entry::TURN + axis] = known(
+                stated.rotation_rad.map(|s| s[axis]),
+                self.extrinsics_sigma_rad,
+                SINCE_RAD,
+            );
+            sigmas[entry::SHIFT + axis] = known(
+                stated.translation_m.map(|s| s[axis]),
+                self.extrinsics_sigma_m,
+                SINCE_M,
+            );
+        }
+        sigmas[entry::FOCAL] = known(stated.focal_share, self.focal_sigma, SINCE_FOCAL);
+        sigmas[entry::CLOCK] = known(
+            stated.rig_from_camera_s,
+            self.camera_clock_sigma_s,
+            SINCE_CLOCK_S,
+        );
+        sigmas[entry::READOUT] = known(stated.readout_s, self.readout_sigma_s, SINCE_CLOCK_S);
         sigmas
     }
 }

@@ -130,10 +130,11 @@ impl Adjustment {
         let corrections = before
             .corrections
             .iter()
-            .map(|correction| {
+            .zip(&walk.cameras)
+            .map(|(correction, camera)| {
                 let block = problem.add_block(*correction);
-                let prior =
-                    VectorPrior::new(CameraCorrection::zeros(), config.calibration_sigmas());
+                let known = config.calibration_sigmas(camera);
+                let prior = VectorPrior::new(CameraCorrection::zeros(), known);
                 problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
                 Ok(block)
             })

@@ -291,7 +291,7 @@ pub struct CameraRefinement {
     pub readout_s: f64,
     /// Its standard deviation, seconds.
     pub readout_sigma_s: f64,
-    /// Largest of these in standard deviations of the rig file, but for the readout time, which many files do not state.
+    /// Largest of these in standard deviations of the rig file; but for the readout time where that does not say how well it is known, as many files do not state it.
     pub largest_sigmas: f64,
 }
 
@@ -306,8 +306,10 @@ pub(super) fn refinements<'a>(
     named
         .map(|(name, ((correction, camera), deviation))| {
             let three = |from: usize| [0, 1, 2].map(|k| correction[from + k]);
-            let mut sigmas = correction.component_div(&config.calibration_sigmas());
-            sigmas[entry::READOUT] = 0.0;
+            let mut sigmas = correction.component_div(&config.calibration_sigmas(camera));
+            if camera.sigmas().readout_s.is_none() {
+                sigmas[entry::READOUT] = 0.0;
+            }
             CameraRefinement {
                 camera: name.to_owned(),
                 turn_deg: three(entry::TURN).map(f64::to_degrees),

@@ -78,8 +78,10 @@ pub(super) fn uncertainty(
     let shown = Deviations::of(walk, estimate, points);
     let count = walk.frames.len();
     let mut poses = Vec::with_capacity(count);
-    let known = information_of(&config.calibration_sigmas());
-    let mut learned = vec![known; walk.cameras.len()];
+    let stated = walk.cameras.iter();
+    let stated: Vec<_> = stated.map(|c| config.calibration_sigmas(c)).collect();
+    let known: Vec<_> = stated.iter().map(information_of).collect();
+    let mut learned = known.clone();
     for first in (0..count).step_by(FRAMES_AT_ONCE) {
         progress(Progress {
             stage: "covariance",
@@ -99,15 +101,16 @@ pub(super) fn uncertainty(
         poses.extend(found.poses);
         // Neighbours share their margins: each part of the walk counts once.
         let share = (end - first) as f64 / (stop - begin) as f64;
-        for (learned, covariance) in learned.iter_mut().zip(found.corrections) {
+        let parts = known.iter().zip(found.corrections);
+        for (learned, (known, covariance)) in learned.iter_mut().zip(parts) {
             if let Some(here) = covariance.try_inverse() {
                 *learned += (here - known) * share;
             }
         }
     }
-    let corrections = learned.iter().map(|information| {
+    let corrections = learned.iter().zip(stated).map(|(information, stated)| {
         let covariance = information.try_inverse();
-        covariance.map_or(config.calibration_sigmas(), |c| c.diagonal().map(f64::sqrt))
+        covariance.map_or(stated, |c| c.diagonal().map(f64::sqrt))
     });
     Ok(Uncertainty {
         poses,
@@ -190,9 +193,10 @@ impl Window {
         };
         let mut problem = Problem::new();
         let mut corrections = Vec::with_capacity(walk.cameras.len());
-        for correction in &estimate.corrections {
+        for (correction, camera) in estimate.corrections.iter().zip(&walk.cameras) {
             let block = problem.add_block(*correction);
-            let prior = VectorPrior::new(CameraCorrection::zeros(), config.calibration_sigmas());
+            let known = config.calibration_sigmas(camera);
+            let prior = VectorPrior::new(CameraCorrection::zeros(), known);
             problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
             corrections.push(block);
         }

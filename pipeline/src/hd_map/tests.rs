@@ -18,6 +18,7 @@ fn rig() -> Rig {
                 camera: Camera::pinhole(640, 480, [400.0, 400.0], [319.5, 239.5]),
                 rig_from_camera: Se3::identity(),
                 timing: CameraTiming::default(),
+                sigmas: Default::default(),
             };
             (name.to_owned(), camera)
         })

@@ -1,4 +1,4 @@
-//! Whether a walk fits the map as well somewhere else.
+//! Whether a walk, or an image of which little is recognised, fits the map as well somewhere else.
 //!
 //! A corridor with the same doors and lamps from either end is found at one end in every image alike, and no image says so: those that are nearer to
 //! the map's are found there, whether they were taken there or not. So images of the walk are looked for where they are not said to be: what
@@ -121,68 +121,75 @@ pub(crate) fn find_elsewhere(
 /// How many points an instant shows where it is said to be, and poses of it that contradict that one, best votes first.
 fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (usize, Vec<Se3>) {
     let found = with_query(localizer, rig, frame.features, |query| {
-        Some(elsewhere_of(localizer, rig, frame, query))
+        let here = &frame.world_from_rig;
+        let found_here = pose_near(localizer, rig, frame.features, here);
+        let matches_here = found_here.map_or_else(Vec::new, |found| found.matches);
+        let candidates = frame.features.iter().map(|f| localizer.look_up(f));
+        let candidates: Vec<Vec<Candidates>> = candidates.collect();
+        let there = localizer.poses_elsewhere(query, &candidates, here, &matches_here);
+        let there = there.iter().map(|pose| pose.world_from_rig);
+        Some((matches_here.len(), there.collect()))
     });
     found.unwrap_or_default()
 }
 
-fn elsewhere_of(
-    localizer: &Localizer,
-    rig: &Rig,
-    frame: &PlacedFrame,
-    query: &Query,
-) -> (usize, Vec<Se3>) {
-    let here = &frame.world_from_rig;
-    let found_here = pose_near(localizer, rig, frame.features, here);
-    let matches_here = found_here.map_or_else(Vec::new, |found| found.matches);
-    let shown_here: BTreeMap<(usize, u32), u32> = matches_here
-        .iter()
-        .map(|m| ((m.frame, m.keypoint), m.point))
-        .collect();
-    let is_same_thing = |m: &&FeatureMatch| {
-        let here = shown_here.get(&(m.frame, m.keypoint));
-        let position = |point: u32| localizer.map().position(point);
-        let both = here.and_then(|here| Some((position(*here)?, position(m.point)?)));
-        both.is_some_and(|(here, there)| (here - there).norm() <= SAME_THING_M)
-    };
-    let shows_the_same = |pose: &GuidedPose| {
-        let matches = || pose.matches.iter();
-        let in_both = |m: &&FeatureMatch| shown_here.contains_key(&(m.frame, m.keypoint));
-        2 * matches().filter(is_same_thing).count() > matches().filter(in_both).count()
-    };
-    let candidates: Vec<Vec<Candidates>> = frame
-        .features
-        .iter()
-        .zip(query.cameras)
-        .map(|(features, camera)| what_does_not_fit(localizer, features, camera, here))
-        .collect();
-    let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
-    let places = &localizer.places;
-    let mut poses: Vec<Se3> = Vec::new();
-    let mut tried: Vec<u32> = Vec::new();
-    let mut places_tried = 0;
-    for vote in places.vote(&all, localizer.config.min_votes) {
-        if places_tried == PLACES {
-            break;
+impl Localizer {
+    /// Poses of a query that contradict the one at which it shows `matches_here`, best votes first: by what else its features may show.
+    pub(super) fn poses_elsewhere(
+        &self,
+        query: &Query,
+        candidates: &[Vec<Candidates>],
+        here: &Se3,
+        matches_here: &[FeatureMatch],
+    ) -> Vec<GuidedPose> {
+        let shown_here: BTreeMap<(usize, u32), u32> = matches_here
+            .iter()
+            .map(|m| ((m.frame, m.keypoint), m.point))
+            .collect();
+        let is_same_thing = |m: &&FeatureMatch| {
+            let here = shown_here.get(&(m.frame, m.keypoint));
+            let position = |point: u32| self.map().position(point);
+            let both = here.and_then(|here| Some((position(*here)?, position(m.point)?)));
+            both.is_some_and(|(here, there)| (here - there).norm() <= SAME_THING_M)
+        };
+        let shows_the_same = |pose: &GuidedPose| {
+            let matches = || pose.matches.iter();
+            let in_both = |m: &&FeatureMatch| shown_here.contains_key(&(m.frame, m.keypoint));
+            2 * matches().filter(is_same_thing).count() > matches().filter(in_both).count()
+        };
+        let frames = query.frames.iter().zip(query.cameras).zip(candidates);
+        let candidates: Vec<Vec<Candidates>> = frames
+            .map(|((features, camera), candidates)| {
+                what_does_not_fit(self, features, camera, candidates, here)
+            })
+            .collect();
+        let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
+        let places = &self.places;
+        let mut poses: Vec<GuidedPose> = Vec::new();
+        let mut tried: Vec<u32> = Vec::new();
+        let mut places_tried = 0;
+        for vote in places.vote(&all, self.config.min_votes) {
+            if places_tried == PLACES {
+                break;
+            }
+            if tried.contains(&vote.image) {
+                continue;
+            }
+            places_tried += 1;
+            let place = places.neighbourhood(vote.image, self.config.place_images);
+            let points = places.points_of(&place);
+            tried.extend(&place);
+            let seen = MatchedQuery::alone(query, &candidates);
+            let found = self.pose_at(&seen, points, vote.votes);
+            let found = found.map(|found| found.pose);
+            poses.extend(found.filter(|pose| {
+                pose.matches.len() >= FEWEST_MATCHES
+                    && contradict(&pose.world_from_rig, here)
+                    && !shows_the_same(pose)
+            }));
         }
-        if tried.contains(&vote.image) {
-            continue;
-        }
-        places_tried += 1;
-        let place = places.neighbourhood(vote.image, localizer.config.place_images);
-        let points = places.points_of(&place);
-        tried.extend(&place);
-        let seen = MatchedQuery::alone(query, &candidates);
-        let found = localizer.pose_at(&seen, points, vote.votes);
-        let found = found.map(|found| found.pose);
-        let found = found.filter(|pose| {
-            pose.matches.len() >= FEWEST_MATCHES
-                && contradict(&pose.world_from_rig, here)
-                && !shows_the_same(pose)
-        });
-        poses.extend(found.map(|pose| pose.world_from_rig));
+        poses
     }
-    (matches_here.len(), poses)
 }
 
 /// Points that each feature of an image may show but those that it shows where the rig is said to be.
@@ -190,12 +197,13 @@ fn what_does_not_fit(
     localizer: &Localizer,
     features: &FrameFeatures,
     mounted: &MountedCamera,
+    candidates: &[Candidates],
     world_from_rig: &Se3,
 ) -> Vec<Candidates> {
     let camera_from_world = (*world_from_rig * mounted.rig_from_camera).inverse();
     let radius_px = FITS_RADII * localizer.config.projection_radius_px;
     let keypoints = features.features.keypoints.iter();
-    let mut candidates = localizer.look_up(features);
+    let mut candidates = candidates.to_vec();
     for (candidates, keypoint) in candidates.iter_mut().zip(keypoints) {
         let fits = |point: u32| {
             let position = localizer.map().position(point);

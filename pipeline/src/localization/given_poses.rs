@@ -203,6 +203,7 @@ fn observing(mounted: &MountedCamera) -> Arc<ObservingCamera> {
         camera: mounted.camera,
         rig_from_camera: mounted.rig_from_camera,
         timing: Default::default(),
+        sigmas: Default::default(),
     })
 }
 
@@ -231,6 +232,7 @@ mod tests {
             camera: Camera::pinhole(640, 480, [400.0; 2], [319.5, 239.5]),
             rig_from_camera: Se3::identity(),
             timing: Default::default(),
+            sigmas: Default::default(),
         };
         rig.cameras = [("cam0".to_owned(), camera)].into();
         rig

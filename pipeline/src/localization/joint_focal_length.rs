@@ -161,6 +161,7 @@ mod tests {
             log10_false_alarms_mirrored: 3.0,
             decades_together: 0.02,
             rival_inliers: 0,
+            twin_inliers: 0,
         }
     }
 

@@ -94,6 +94,7 @@ impl Localizer {
             log10_false_alarms_mirrored: self.false_alarms_mirrored(found, query),
             decades_together: decades_together(self.map.feature()),
             rival_inliers: found.rival_inliers,
+            twin_inliers: 0,
         }
     }
 

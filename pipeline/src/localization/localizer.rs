@@ -180,13 +180,28 @@ impl Localizer {
             || evidence.contradicts_focal_length()
             || evidence.log10_false_alarms > NO_CHANCE_LOG10
         {
-            return Ok(narrow);
+            return Ok(self.held_against_twin(narrow, &seen));
         }
         // Each of the images may overlap the view little, and more of them together enough.
         let wide = self.best_at(&seen, WIDER * self.config.place_images, tried);
         let wide = wide.map(|(wide, _)| doubted(wide, &narrow));
         let better = wide.filter(|wide| wide.probability > narrow.probability);
-        Ok(better.unwrap_or(narrow))
+        Ok(self.held_against_twin(better.unwrap_or(narrow), &seen))
+    }
+
+    /// The pose with the best one elsewhere, where it would be accepted though little speaks for it.
+    fn held_against_twin(&self, mut pose: Localization, seen: &MatchedQuery) -> Localization {
+        if pose.probability < self.config.min_probability || !pose.evidence.is_thin() {
+            return pose;
+        }
+        let (here, matches) = (&pose.world_from_rig, &pose.matches);
+        let there = self.poses_elsewhere(seen.query, seen.candidates, here, matches);
+        let there = there
+            .iter()
+            .filter(|p| !seen.known.contradicts(&p.world_from_rig));
+        pose.evidence.twin_inliers = there.map(|p| p.matches.len()).max().unwrap_or(0);
+        pose.probability = pose.evidence.probability();
+        pose
     }
 
     /// The pose that most speaks for among places of so many images each, and how many places have been tried, those of before included.

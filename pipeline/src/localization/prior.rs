@@ -40,7 +40,7 @@ const MOST_SIGMAS: f64 = 3.5;
 /// The pose is one of those in a room of this size, metres.
 const ROOM_M: f64 = 10.0;
 /// Decades that up and the pose count for at most: wrong poses are not spread evenly, people hold their devices upright, and where they were before.
-const DECADES_OF_UP: f64 = 2.0;
+pub(super) const DECADES_OF_UP: f64 = 2.0;
 const DECADES_OF_POSE: f64 = 4.0;
 
 impl Up {

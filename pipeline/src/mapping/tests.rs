@@ -30,6 +30,7 @@ fn camera(yaw_rad: f64) -> RigCamera {
         },
         rig_from_camera: Se3::new(turn * forward, turn * Vector3::new(0.1, 0.0, 0.1)),
         timing: Default::default(),
+        sigmas: Default::default(),
     }
 }
 

@@ -53,6 +53,7 @@ impl Listed {
             camera: fitting(&self.path, camera)?,
             rig_from_camera: Se3::identity(),
             timing: Default::default(),
+            sigmas: Default::default(),
         };
         self.rig.cameras.insert(name.to_owned(), mounted);
         Ok(())

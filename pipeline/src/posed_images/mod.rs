@@ -129,6 +129,7 @@ fn rig_with(folder: &Path, camera: Camera) -> Rig {
         camera,
         rig_from_camera: Se3::identity(),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     Rig {
         cameras: [(CAMERA.to_owned(), mounted)].into(),

@@ -2,7 +2,8 @@ use std::sync::Arc;
 
 use lsfb_geometry::rolling_shutter::row_time_s;
 use lsfb_geometry::{
-    Camera, CameraTiming, Matrix2x3, Matrix2x6, Matrix3, RigCamera, Se3, Vector2, Vector3, so3,
+    Camera, CameraSigmas, CameraTiming, Matrix2x3, Matrix2x6, Matrix3, RigCamera, Se3, Vector2,
+    Vector3, so3,
 };
 use lsfb_perception::projection::moved_by_inverse;
 use lsfb_solver::Undefined;
@@ -65,6 +66,7 @@ pub struct MovingCamera {
     camera_from_rig: Se3,
     camera_from_rig_rotation: Matrix3<f64>,
     timing: CameraTiming,
+    sigmas: CameraSigmas,
 }
 
 /// Where a point of the world is seen, and how that changes.
@@ -82,20 +84,14 @@ const ROW_STEPS: usize = 4;
 impl MovingCamera {
     /// From the rig's description of it.
     pub fn new(camera: &RigCamera) -> Arc<Self> {
-        Arc::new(Self::with(
-            camera.camera,
-            camera.rig_from_camera.inverse(),
-            camera.timing,
-        ))
-    }
-
-    fn with(camera: Camera, camera_from_rig: Se3, timing: CameraTiming) -> Self {
-        Self {
-            camera,
+        let camera_from_rig = camera.rig_from_camera.inverse();
+        Arc::new(Self {
+            camera: camera.camera,
             camera_from_rig_rotation: camera_from_rig.rotation_matrix(),
             camera_from_rig,
-            timing,
-        }
+            timing: camera.timing,
+            sigmas: camera.sigmas,
+        })
     }
 
     /// The camera as it is if it is off by this much.
@@ -108,14 +104,16 @@ impl MovingCamera {
         camera.lens = camera.lens.model().lens(&lens);
         let turn = correction.fixed_rows::<3>(entry::TURN).into_owned();
         let shift = correction.fixed_rows::<3>(entry::SHIFT).into_owned();
-        Arc::new(Self::with(
+        let camera_from_rig = Se3::new(so3::exp(&turn), shift) * self.camera_from_rig;
+        Self::new(&RigCamera {
             camera,
-            Se3::new(so3::exp(&turn), shift) * self.camera_from_rig,
-            CameraTiming {
+            rig_from_camera: camera_from_rig.inverse(),
+            timing: CameraTiming {
                 rig_from_camera_s: self.timing.rig_from_camera_s + correction[entry::CLOCK],
                 readout_s: self.timing.readout_s + correction[entry::READOUT],
             },
-        ))
+            sigmas: self.sigmas,
+        })
     }
 
     /// As a rig file says it.
@@ -124,12 +122,18 @@ impl MovingCamera {
             camera: self.camera,
             rig_from_camera: self.camera_from_rig.inverse(),
             timing: self.timing,
+            sigmas: self.sigmas,
         }
     }
 
     /// Size and lens.
     pub fn camera(&self) -> &Camera {
         &self.camera
+    }
+
+    /// How well the rig file says all of it is known.
+    pub fn sigmas(&self) -> &CameraSigmas {
+        &self.sigmas
     }
 
     /// Pose of the rig in the camera frame.
@@ -333,6 +337,7 @@ pub(super) mod tests {
                 rig_from_camera_s: 0.003,
                 readout_s: 0.024,
             },
+            sigmas: Default::default(),
         })
     }
 

@@ -155,6 +155,7 @@ pub(super) mod tests {
                 camera,
                 rig_from_camera: forward * Se3::exp(&Vector6::new(0.02, 0.1, -0.05, 0.0, 0.1, 0.0)),
                 timing: Default::default(),
+                sigmas: Default::default(),
             })
         })
     }

@@ -57,6 +57,7 @@ pub fn read(path: &Path) -> TrackedWalk {
             Vector3::new(of("tx"), of("ty"), of("tz")),
         ),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     TrackedWalk {
         cameras: vec![camera],

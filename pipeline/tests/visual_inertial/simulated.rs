@@ -82,6 +82,7 @@ fn camera() -> RigCamera {
             Vector3::new(0.02, 0.0, 0.01),
         ),
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     }
 }
 

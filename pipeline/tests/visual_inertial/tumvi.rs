@@ -94,6 +94,7 @@ fn camera(value: &Value) -> RigCamera {
         },
         rig_from_camera: camera_from_rig.inverse(),
         timing: Default::default(),
+        sigmas: Default::default(),
     }
 }
 

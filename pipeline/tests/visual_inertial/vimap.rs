@@ -149,6 +149,7 @@ fn read_sensors(text: &str) -> (RigCamera, ImuNoiseModel) {
         },
         rig_from_camera: Se3::new(rotation, Vector3::new(m[3], m[7], m[11])),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     (camera, noise)
 }

@@ -192,6 +192,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
                     camera: found.camera,
                     rig_from_camera: Se3::identity(),
                     timing: Default::default(),
+                    sigmas: Default::default(),
                 };
                 rig.cameras.insert(name, mounted);
             }
@@ -267,6 +268,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
                 camera: camera.camera,
                 rig_from_camera: pose,
                 timing,
+                sigmas: Default::default(),
             },
         );
     }

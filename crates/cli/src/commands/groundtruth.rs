@@ -27,8 +27,8 @@ use crate::standing;
 /// Compute the ground-truth trajectory of a walk in an HD map.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns. Most of an
-/// attitude's is how far the cameras may be turned against the rig file, extrinsics_sigma_rad: with a rig that is calibrated better than
-/// 2 mrad, set it to what the calibration says.
+/// attitude's is how far the cameras may be turned against the rig file: what its calibration found (lsfb calib writes it into the rig file,
+/// cameras.NAME.sigmas), or extrinsics_sigma_rad, 2 mrad, where it does not say.
 ///
 /// WALK_states.csv has poses, velocities, biases and turn rates at the IMU's rate, in EuRoC's columns, and gravity. WALK_states.mcap, a ROS 2
 /// bag, has the same, and the poses of the images with their covariance: /pose, /imu_rate/pose, velocity, turn_rate and biases, /gravity.

@@ -46,6 +46,7 @@ fn rig(of_cam0: Se3) -> Rig {
         camera: camera(),
         rig_from_camera,
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     };
     Rig {
         cameras: [

@@ -123,6 +123,7 @@ impl Walk {
                 camera: self.camera(),
                 rig_from_camera: Se3::new(facing * tilt, Vector3::new(0.03, y_m, 0.02)),
                 timing: CameraTiming::default(),
+                sigmas: Default::default(),
             };
             (name.to_owned(), camera)
         };

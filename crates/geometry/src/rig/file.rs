@@ -6,7 +6,9 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
-use super::{ImuNoiseModel, MAIN_IMU, MAIN_LIDAR, Rig, RigCamera, RigImu, RigLidar};
+use super::{
+    CameraSigmas, ImuNoiseModel, MAIN_IMU, MAIN_LIDAR, Rig, RigCamera, RigImu, RigLidar, is_sigma,
+};
 use crate::Se3;
 
 /// A rig as its file says it: an IMU or a LiDAR that is alone and has the usual name stands in `[imu]` or `[lidar]`.
@@ -30,6 +32,9 @@ impl TryFrom<RigFile> for Rig {
     type Error = String;
 
     fn try_from(file: RigFile) -> Result<Self, String> {
+        for (name, camera) in &file.cameras {
+            check_sigmas(name, camera)?;
+        }
         let rig = Self {
             name: file.name,
             calibrated_unix_s: file.calibrated_unix_s,
@@ -44,6 +49,21 @@ impl TryFrom<RigFile> for Rig {
             _ => Ok(rig),
         }
     }
+}
+
+fn check_sigmas(name: &str, camera: &RigCamera) -> Result<(), String> {
+    let stated = camera.sigmas.entries();
+    let stated = stated
+        .iter()
+        .filter_map(|(entry, values)| Some((entry, values.as_ref()?)));
+    for (entry, values) in stated {
+        if let Some(wrong) = values.iter().find(|sigma| !is_sigma(**sigma)) {
+            return Err(format!(
+                "{entry} = {wrong} in cameras.{name}.sigmas: a standard deviation is more than zero; leave out what is not known"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Both ways to write a sensor, in one list.
@@ -218,8 +238,24 @@ impl RigCamera {
             ];
             mounted.insert("timing".into(), numbers(&timing).into());
         }
+        if !self.sigmas.are_unknown() {
+            mounted.insert("sigmas".into(), sigmas(&self.sigmas).into());
+        }
         mounted
     }
+}
+
+fn sigmas(sigmas: &CameraSigmas) -> Table {
+    let stated = sigmas.entries().into_iter();
+    let stated = stated.filter_map(|(entry, values)| {
+        let values = values?;
+        let value = match values.as_slice() {
+            [one] => (*one).into(),
+            _ => values.into(),
+        };
+        Some((entry.to_owned(), value))
+    });
+    stated.collect()
 }
 
 fn numbers(entries: &[(&str, f64)]) -> Table {

@@ -4,7 +4,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use self::file::{ImuTable, RigFile, pose_as_table};
-use crate::{Camera, Se3};
+use crate::{Camera, Matrix6, Se3};
 
 mod file;
 
@@ -41,6 +41,68 @@ pub struct RigCamera {
     /// Its clock and shutter; an ideal global shutter where nothing is said.
     #[serde(default, skip_serializing_if = "CameraTiming::is_ideal")]
     pub timing: CameraTiming,
+    /// How well all of that is known, as far as a calibration has said.
+    #[serde(default, skip_serializing_if = "CameraSigmas::are_unknown")]
+    pub sigmas: CameraSigmas,
+}
+
+/// Standard deviations of what a rig says of a camera; `None` where nobody has said how well it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraSigmas {
+    /// Of its attitude on the rig, about the camera's axes, radians.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_rad: Option<[f64; 3]>,
+    /// Of its position on the rig, along the camera's axes, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub translation_m: Option<[f64; 3]>,
+    /// Of its focal lengths, as a share of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focal_share: Option<f64>,
+    /// Of its clock, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rig_from_camera_s: Option<f64>,
+    /// Of its readout time, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub readout_s: Option<f64>,
+}
+
+impl CameraSigmas {
+    /// Whether nothing is said.
+    pub fn are_unknown(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Of a pose on the rig with this covariance, tangent `[rotation, translation]` on the right, rad² and m²; the rest unknown.
+    pub fn of_pose(covariance: &Matrix6<f64>) -> Self {
+        let three = |first: usize| [0, 1, 2].map(|k| covariance[(first + k, first + k)].sqrt());
+        let known = |sigmas: [f64; 3]| sigmas.iter().all(|s| is_sigma(*s)).then_some(sigmas);
+        Self {
+            rotation_rad: known(three(0)),
+            translation_m: known(three(3)),
+            ..Self::default()
+        }
+    }
+
+    /// A standard deviation that was estimated; `None` for what was not searched, which has zero.
+    pub fn estimated(sigma: f64) -> Option<f64> {
+        Some(sigma).filter(|sigma| is_sigma(*sigma))
+    }
+
+    /// What each is called in a file, with its values.
+    fn entries(&self) -> [(&'static str, Option<Vec<f64>>); 5] {
+        [
+            ("rotation_rad", self.rotation_rad.map(Vec::from)),
+            ("translation_m", self.translation_m.map(Vec::from)),
+            ("focal_share", self.focal_share.map(|s| vec![s])),
+            ("rig_from_camera_s", self.rig_from_camera_s.map(|s| vec![s])),
+            ("readout_s", self.readout_s.map(|s| vec![s])),
+        ]
+    }
+}
+
+fn is_sigma(sigma: f64) -> bool {
+    sigma > 0.0 && sigma.is_finite()
 }
 
 /// When a camera sees what its stamp says.

@@ -94,6 +94,7 @@ fn toml_round_trip_and_named_errors() {
                 rig_from_camera_s: k as f64 * 1e-3,
                 readout_s: 0.0,
             },
+            sigmas: Default::default(),
         };
         (format!("cam {k} \"left\""), mounted)
     });
@@ -183,4 +184,40 @@ fn text_stays_the_same_to_the_last_bit() {
     let text = Rig::from_toml(rough, "memory").expect("a rig").to_toml();
     let again = Rig::from_toml(&text, "memory").expect("own output");
     assert_eq!(again.to_toml(), text);
+}
+
+#[test]
+fn how_well_a_camera_is_known_stands_in_its_file() {
+    let mut rig = Rig::empty("glasses");
+    let camera = |sigmas| RigCamera {
+        camera: Camera::pinhole(640, 400, [350.0; 2], [319.5, 199.5]),
+        rig_from_camera: Se3::identity(),
+        timing: CameraTiming::default(),
+        sigmas,
+    };
+    let variances = [1e-8, 4e-8, 9e-8, 1e-6, 4e-6, 9e-6];
+    let sigmas = CameraSigmas {
+        focal_share: CameraSigmas::estimated(2e-4),
+        // It was not searched.
+        readout_s: CameraSigmas::estimated(0.0),
+        ..CameraSigmas::of_pose(&Matrix6::from_diagonal(&Vector6::from(variances)))
+    };
+    assert_eq!(sigmas.readout_s, None);
+    let rotation_rad = sigmas.rotation_rad.expect("known");
+    assert!((rotation_rad[2] - 3e-4).abs() < 1e-12, "{rotation_rad:?}");
+    rig.cameras.insert("cam0".into(), camera(sigmas));
+    rig.cameras
+        .insert("cam1".into(), camera(CameraSigmas::default()));
+    let text = rig.to_toml();
+    assert_eq!(text.matches("sigmas").count(), 1, "{text}");
+    let back = Rig::from_toml(&text, "memory").expect("own output");
+    assert_eq!((&back, back.to_toml()), (&rig, text.clone()));
+    let serde = toml::to_string(&rig).expect("serde writes a rig");
+    assert_eq!(Rig::from_toml(&serde, "memory").expect("own output"), rig);
+    for wrong in ["0.0", "-2e-4", "nan", "inf"] {
+        let text = text.replace("0.0002\n", &format!("{wrong}\n"));
+        let error = Rig::from_toml(&text, "memory").expect_err("no standard deviation");
+        let error = error.to_string();
+        assert!(error.contains("cameras.cam0.sigmas"), "{error}");
+    }
 }

@@ -154,6 +154,7 @@ mod tests {
             camera: Camera::pinhole(640, 480, [400.0, 400.0], [319.5, 239.5]),
             rig_from_camera: Se3::identity(),
             timing: CameraTiming::default(),
+            sigmas: Default::default(),
         };
         rig.cameras.insert("cam0".to_owned(), camera);
         let keyframes: Vec<StampedPose> = (0..)

@@ -41,12 +41,13 @@ fn readout_clock_and_lens_are_found() {
     let config = GroundTruthConfig::default();
     let points = &found.last.points;
     let said = uncertainty(&walk, estimate, points, &config, &no_progress).expect("covariances");
-    for (correction, sigmas) in estimate.corrections.iter().zip(&said.corrections) {
+    let found = estimate.corrections.iter().zip(&said.corrections);
+    for ((correction, sigmas), camera) in found.zip(&walk.cameras) {
         let wrong = (correction - off()).component_div(sigmas);
         for named in [entry::FOCAL, entry::CLOCK, entry::READOUT] {
             assert!(wrong[named].abs() < 4.0, "{named}: {wrong} of {sigmas}");
         }
-        let known = config.calibration_sigmas();
+        let known = config.calibration_sigmas(camera);
         assert!(
             sigmas[entry::READOUT] < 0.1 * known[entry::READOUT],
             "{sigmas}"
@@ -65,4 +66,25 @@ fn readout_clock_and_lens_are_found() {
     let (walk, believed) = solved(&certain);
     let believed_m = errors(&walk, &believed.last.estimate.states).rms_m;
     assert!(believed_m > 2.0 * found_m, "{believed_m} m, {found_m} m");
+}
+
+/// What the rig file says of how well a camera is known counts, and what it leaves out is as the settings say.
+#[test]
+fn a_camera_is_known_as_well_as_its_calibration_says() {
+    let config = GroundTruthConfig::default();
+    let known = |sigmas| config.calibration_sigmas(&camera_of_glasses(0.0, sigmas));
+    let unsaid = known(CameraSigmas::default());
+    assert_eq!(unsaid[entry::TURN], config.extrinsics_sigma_rad);
+    assert_eq!(unsaid[entry::READOUT], config.readout_sigma_s);
+    let said = known(CameraSigmas {
+        rotation_rad: Some([1e-3, 5e-4, 1e-9]),
+        focal_share: Some(1e-3),
+        ..CameraSigmas::default()
+    });
+    assert!(said[entry::TURN] < 1.1e-3 && said[entry::TURN + 1] < 6e-4);
+    // It was warm since, and fell down once.
+    assert!(said[entry::TURN + 2] > 1e-4, "{said}");
+    assert!(said[entry::FOCAL] < config.focal_sigma);
+    let rest = [entry::SHIFT, entry::CLOCK, entry::READOUT];
+    assert!(rest.iter().all(|k| said[*k] == unsaid[*k]), "{said}");
 }

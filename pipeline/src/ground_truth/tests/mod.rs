@@ -17,8 +17,8 @@ mod without_imu;
 use std::sync::Arc;
 
 use lsfb_geometry::{
-    Camera, ImuNoiseModel, Matrix3, Matrix6, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
-    camera::Lens, so3,
+    Camera, CameraSigmas, ImuNoiseModel, Matrix3, Matrix6, RigCamera, Se3, UnitQuaternion, Vector2,
+    Vector3, camera::Lens, so3,
 };
 use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
@@ -98,25 +98,29 @@ impl Gauss {
     }
 }
 
-fn glasses() -> Vec<Arc<MovingCamera>> {
+/// One camera of [`glasses`], this far to the left.
+fn camera_of_glasses(y_m: f64, sigmas: CameraSigmas) -> Arc<MovingCamera> {
     let forward =
         UnitQuaternion::from_matrix(&Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0));
+    MovingCamera::new(&RigCamera {
+        camera: Camera {
+            width: 640,
+            height: 400,
+            lens: Lens::KannalaBrandt {
+                focal_px: [290.0, 290.0],
+                principal_px: [318.0, 201.0],
+                distortion: [-0.012, 0.004, -0.002, 0.0003],
+            },
+        },
+        rig_from_camera: Se3::new(forward, Vector3::new(0.01, y_m, 0.0)),
+        timing: Default::default(),
+        sigmas,
+    })
+}
+
+fn glasses() -> Vec<Arc<MovingCamera>> {
     [0.055, -0.055]
-        .map(|y| {
-            MovingCamera::new(&RigCamera {
-                camera: Camera {
-                    width: 640,
-                    height: 400,
-                    lens: Lens::KannalaBrandt {
-                        focal_px: [290.0, 290.0],
-                        principal_px: [318.0, 201.0],
-                        distortion: [-0.012, 0.004, -0.002, 0.0003],
-                    },
-                },
-                rig_from_camera: Se3::new(forward, Vector3::new(0.01, y, 0.0)),
-                timing: Default::default(),
-            })
-        })
+        .map(|y_m| camera_of_glasses(y_m, CameraSigmas::default()))
         .to_vec()
 }
 

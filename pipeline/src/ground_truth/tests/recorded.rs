@@ -139,6 +139,7 @@ pub(super) fn rig() -> Rig {
                 camera: small,
                 rig_from_camera: camera.camera_from_rig().inverse(),
                 timing: Default::default(),
+                sigmas: Default::default(),
             },
         );
     }

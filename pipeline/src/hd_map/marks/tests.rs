@@ -16,6 +16,7 @@ fn rig() -> Rig {
         camera: Camera::pinhole(640, 480, [400.0, 400.0], [319.5, 239.5]),
         rig_from_camera: Se3::exp(&[0.1, -0.2, 0.05, 0.1, 0.0, 0.2].into()),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     rig.cameras = [("cam0".to_owned(), camera)].into();
     rig

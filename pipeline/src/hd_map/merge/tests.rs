@@ -15,6 +15,7 @@ fn camera(focal_px: f64) -> RigCamera {
         camera: Camera::pinhole(640, 480, [focal_px; 2], [319.5, 239.5]),
         rig_from_camera: Se3::new(rotation, Vector3::zeros()),
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     }
 }
 

@@ -27,6 +27,7 @@ fn rig() -> Rig {
         },
         rig_from_camera: Se3::new(forward, Default::default()),
         timing: Default::default(),
+        sigmas: Default::default(),
     };
     Rig {
         cameras: [("cam0".to_owned(), camera)].into(),

@@ -18,6 +18,7 @@ fn a_place_that_looks_the_same_makes_a_pose_doubtful() {
         log10_false_alarms_mirrored: 3.0,
         decades_together: decades_together(&Feature::Sift),
         rival_inliers: 0,
+        twin_inliers: 0,
     };
     assert!(sure.probability() > 0.999);
     let with_rival = |rival_inliers| Evidence {
@@ -56,6 +57,7 @@ fn another_focal_length_must_fit_for_sure() {
         log10_false_alarms_mirrored: 3.0,
         decades_together: 0.075,
         rival_inliers: 0,
+        twin_inliers: 0,
     };
     assert!(!as_calibrated.contradicts_focal_length());
     // Half-size images in a frame have 200 guided inliers and all else that makes a pose probable.
@@ -105,6 +107,7 @@ fn what_looks_alike_in_a_mirror_is_no_place() {
         log10_false_alarms_mirrored: 3.0,
         decades_together: 0.075,
         rival_inliers: 0,
+        twin_inliers: 0,
     };
     assert!(mirrored.probability() < 0.95);
     let alone = Evidence {
@@ -138,6 +141,7 @@ fn a_picture_that_hangs_in_another_room_is_no_place() {
         log10_false_alarms_mirrored: 6.3,
         decades_together: decades_together(&Feature::Sift),
         rival_inliers: 0,
+        twin_inliers: 0,
     };
     assert!(picture.probability() < 0.9);
     // The kitchen of 7-Scenes, 2.8 cm off: few agree, but all over the image.
@@ -152,6 +156,79 @@ fn a_picture_that_hangs_in_another_room_is_no_place() {
         ..picture
     };
     assert!(scattered.probability() > 0.99);
+}
+
+#[test]
+fn a_door_that_is_the_same_at_either_end_is_no_place() {
+    // A bare corridor of the standard trial, seed 46, from its other end: hardly anything is in the image but the door.
+    let door = Evidence {
+        first_matches: 18,
+        first_inliers: 10,
+        chance_level: 0.002,
+        log10_false_alarms: -15.3,
+        known_decades: 0.0,
+        guided_inliers: 18,
+        decoy_inliers: 0.59,
+        image_spread: 0.45,
+        first_spread: 0.40,
+        focal_scale: 1.0,
+        focal_log_sigma: 0.02,
+        focal_decades: 0.0,
+        log10_false_alarms_mirrored: -2.3,
+        decades_together: decades_together(&Feature::Sift),
+        rival_inliers: 0,
+        twin_inliers: 0,
+    };
+    assert!(door.probability() < 0.95);
+    // Up is the same at the other end, where one was a moment ago is not.
+    let known = |known_decades| Evidence {
+        known_decades,
+        ..door
+    };
+    assert!(known(-2.0).probability() < 0.95);
+    assert!(known(-4.0).probability() > 0.99);
+    // The office with a tenth of its features, 1 cm off.
+    let thinned = Evidence {
+        first_matches: 59,
+        first_inliers: 15,
+        log10_false_alarms: -23.3,
+        guided_inliers: 26,
+        decoy_inliers: 5.99,
+        image_spread: 0.52,
+        log10_false_alarms_mirrored: 1.0,
+        ..door
+    };
+    assert!(thinned.probability() > 0.99);
+}
+
+#[test]
+fn a_corridor_that_is_the_same_from_either_end_is_no_place() {
+    // The same corridor with another seed: whole walks were found at the wrong end, by first matches that no pose at the right one had.
+    let end = Evidence {
+        first_matches: 60,
+        first_inliers: 25,
+        chance_level: 0.002,
+        log10_false_alarms: -40.0,
+        known_decades: 0.0,
+        guided_inliers: 40,
+        decoy_inliers: 1.0,
+        image_spread: 0.45,
+        first_spread: 0.40,
+        focal_scale: 1.0,
+        focal_log_sigma: 0.02,
+        focal_decades: 0.0,
+        log10_false_alarms_mirrored: 1.0,
+        decades_together: decades_together(&Feature::Sift),
+        rival_inliers: 0,
+        twin_inliers: 0,
+    };
+    assert!(end.is_thin() && end.probability() > 0.99);
+    let with_twin = |twin_inliers| Evidence {
+        twin_inliers,
+        ..end
+    };
+    assert!(with_twin(38).probability() < 0.6);
+    assert!(with_twin(10).probability() > 0.99);
 }
 
 #[test]

@@ -209,6 +209,7 @@ fn add_camera(rig: &mut Rig, name: &str, sensor: &Sensor) -> Result<(), String> 
         },
         rig_from_camera: body_from_sensor(sensor)?,
         timing: lsfb_geometry::CameraTiming::default(),
+        sigmas: Default::default(),
     };
     rig.cameras.insert(name.to_owned(), camera);
     Ok(())

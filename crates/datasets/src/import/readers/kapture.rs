@@ -354,6 +354,7 @@ fn rig(
                     camera,
                     rig_from_camera: pose,
                     timing: CameraTiming::default(),
+                    sigmas: Default::default(),
                 };
                 rig.cameras.insert(topic_name(name), mounted);
             }

@@ -257,5 +257,6 @@ fn camera(found: &Calibrated) -> Result<RigCamera, String> {
         },
         rig_from_camera: camera_from_imu.inverse(),
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     })
 }

@@ -134,6 +134,7 @@ fn calibrate(matrix: &Path, video: &Path, device: &str, into: &mut Collected) ->
         camera: Camera::pinhole(first.width, first.height, [*fx, *fy], [*cx, *cy]),
         rig_from_camera: Se3::identity(),
         timing: CameraTiming::default(),
+        sigmas: Default::default(),
     };
     rig.cameras.insert("cam0".to_owned(), camera);
     into.rig = Some(rig);
