@@ -163,6 +163,14 @@ impl fmt::Display for NotLocalized {
                 best.evidence.focal_scale,
                 best.evidence.focal_scale * best.evidence.focal_log_sigma,
             ),
+            NotLocalizedReason::Improbable { best, .. } if best.evidence.is_doubtful_by_twin() => {
+                write!(
+                    f,
+                    "the best pose has {} inliers, another {} elsewhere: the map has places that look alike, and this view does not tell them apart",
+                    best.matches.len(),
+                    best.evidence.twin_inliers
+                )
+            }
             NotLocalizedReason::Improbable { best, needed } => write!(
                 f,
                 "the best pose, of {} inliers, is right with a probability of {:.3} only, {needed} is needed: the view \

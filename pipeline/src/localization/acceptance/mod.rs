@@ -76,6 +76,8 @@ pub struct Evidence {
     /// Inliers after guided matching of the best pose elsewhere, where one was looked for: in what features may show besides what they
     /// show here. Only of poses that little speaks for: see [`Evidence::is_thin`].
     pub twin_inliers: usize,
+    /// [`Evidence::log10_false_alarms`] of that pose.
+    pub log10_false_alarms_twin: f64,
 }
 
 /// Spread of pixels over an image of this size: the root of the determinant of their covariance over that of an even
@@ -208,17 +210,30 @@ impl Evidence {
 
     /// One half where the rival has as many inliers, 0.98 where it has half of them.
     fn probability_against_rival(&self) -> f64 {
-        against(self.rival_inliers, self.first_inliers)
+        against(self.rival_inliers as f64 / self.first_inliers.max(1) as f64)
     }
 
-    /// The same of a twin and of guided inliers.
+    /// What the twin has of what the pose has: of guided inliers or of decades below one false alarm, whichever is less, as points are found by chance wherever they
+    /// are looked for.
+    fn twin_share(&self) -> f64 {
+        let inliers = self.twin_inliers as f64 / self.guided_inliers.max(1) as f64;
+        let decades = |log10_false_alarms: f64| (-log10_false_alarms).max(0.0);
+        let own = decades(self.log10_false_alarms).max(1.0);
+        inliers.min(decades(self.log10_false_alarms_twin) / own)
+    }
+
+    /// Whether the twin alone makes the pose doubtful.
+    pub(super) fn is_doubtful_by_twin(&self) -> bool {
+        self.twin_share() > 0.5
+    }
+
+    /// As against a rival.
     fn probability_against_twin(&self) -> f64 {
-        against(self.twin_inliers, self.guided_inliers)
+        against(self.twin_share())
     }
 }
 
-fn against(others: usize, own: usize) -> f64 {
-    let share = others as f64 / own.max(1) as f64;
+fn against(share: f64) -> f64 {
     1.0 / (1.0 + share.powi(6))
 }
 
