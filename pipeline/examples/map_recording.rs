@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p lsfb-pipeline --example map_recording -- scan.mcap [truth.tum] [--map]`
 //!
-//! With `--ablation` the map is made without one of its parts after the other, a line each.
+//! With `--ablation` the map is made without one of its parts after the other, and with the IMU among them, a line each.
 //!
 //! Writes `odometry.tum` and `mapping.tum` where it is run.
 
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The map as it is, and without each of its parts.
+/// The map as it is, without each of its parts, and with the IMU's.
 fn ablations() -> Vec<(&'static str, MappingConfig)> {
     let with = |change: &dyn Fn(&mut MappingConfig)| {
         let mut config = MappingConfig {
@@ -76,6 +76,7 @@ fn ablations() -> Vec<(&'static str, MappingConfig)> {
         ("no plane", with(&|c| c.terms.planes = false)),
         ("no edge", with(&|c| c.terms.edges = false)),
         ("no visual", with(&|c| c.terms.images = false)),
+        ("with IMU", with(&|c| c.terms.imu = true)),
         (
             "no loops",
             with(&|c| {

@@ -284,6 +284,16 @@ pub enum Error {
         /// The rig's name.
         rig: String,
     },
+    /// The IMU is to take part in Eq. (4), and there is none.
+    #[error(
+        "{path}: Eq. 4 is to take the IMU (imu = true under [terms]), but {reason}: map a recording that has an IMU with a rig file that states its noise, or set imu = false", path = path.display()
+    )]
+    NoImuTerm {
+        /// The recording.
+        path: PathBuf,
+        /// What is missing.
+        reason: &'static str,
+    },
     /// No scan of a recording could be used.
     #[error("{path}: none of the {scans} LiDAR scans could be used: {why}", path = path.display())]
     NoScan {

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::features::matching::MatchConfig;
 use crate::features::triangulation::TriangulationConfig;
 use crate::features::{LearnedConfig, SiftConfig};
+use crate::inertial_blocks;
 use crate::localization::LocalizerConfig;
 use crate::residuals::{CameraCorrection, MovingCamera, entry};
 
@@ -194,9 +195,9 @@ impl Default for GroundTruthConfig {
             local_sigma_px: 1.0,
             kernel_scale: 2.0,
             max_error_px: 5.0,
-            imu_noise_factor: 2.0,
-            gyro_bias_sigma_rad_s: 0.05,
-            accel_bias_sigma_m_s2: 0.3,
+            imu_noise_factor: inertial_blocks::USUAL_NOISE_FACTOR,
+            gyro_bias_sigma_rad_s: inertial_blocks::USUAL_GYRO_BIAS_RAD_S,
+            accel_bias_sigma_m_s2: inertial_blocks::USUAL_ACCEL_BIAS_M_S2,
             gravity_sigma_m_s2: 0.05,
             extrinsics_sigma_rad: 2e-3,
             extrinsics_sigma_m: 2e-3,
@@ -285,13 +286,7 @@ impl GroundTruthConfig {
 
     /// The IMU's noise as the optimisation takes it.
     pub(super) fn inflated(&self, noise: &ImuNoiseModel) -> ImuNoiseModel {
-        let factor = self.imu_noise_factor;
-        ImuNoiseModel {
-            gyro_noise_density: noise.gyro_noise_density * factor,
-            accel_noise_density: noise.accel_noise_density * factor,
-            gyro_bias_walk: noise.gyro_bias_walk * factor,
-            accel_bias_walk: noise.accel_bias_walk * factor,
-        }
+        inertial_blocks::inflated(noise, self.imu_noise_factor)
     }
 
     /// Standard deviations of what the rig file says of a camera, entry by entry: its own, where it has them, and what no calibration knows.

@@ -1,51 +1,17 @@
-//! The blocks of one state, and what the IMU says of neighbours.
+//! What the IMU says of neighbours.
 
-use lsfb_geometry::{Se3, Vector3};
-use lsfb_solver::{Block, Kernel, Problem, VectorPrior};
+use lsfb_geometry::Vector3;
+use lsfb_solver::{Block, Problem};
 
 use super::GroundTruthConfig;
 use super::imu_wander::room_to_wander;
 use super::walk::{FrameState, Walk};
-use nalgebra::{SVector, Vector1, Vector6};
+use nalgebra::{Vector1, Vector6};
 
 use crate::Error;
-use crate::preintegration::{
-    ImuBias, ImuErrors, Matrix9, NavState, PreintegratedImu, standard_gravity_m_s2,
-};
-use crate::residuals::{BiasWalk, ImuPreintegration};
-
-/// Blocks of one state.
-#[derive(Clone, Copy)]
-pub(super) struct StateBlocks {
-    pub pose: Block<Se3>,
-    pub velocity: Block<Vector3<f64>>,
-    pub gyro_bias: Block<Vector3<f64>>,
-    pub accel_bias: Block<Vector3<f64>>,
-}
-
-impl StateBlocks {
-    pub fn add(problem: &mut Problem, state: &FrameState) -> Self {
-        Self {
-            pose: problem.add_block(state.nav.world_from_rig),
-            velocity: problem.add_block(state.nav.velocity_m_s),
-            gyro_bias: problem.add_block(state.bias.gyro_rad_s),
-            accel_bias: problem.add_block(state.bias.accel_m_s2),
-        }
-    }
-
-    pub fn read(&self, problem: &Problem) -> FrameState {
-        FrameState {
-            nav: NavState {
-                world_from_rig: problem.value(self.pose),
-                velocity_m_s: problem.value(self.velocity),
-            },
-            bias: ImuBias {
-                gyro_rad_s: problem.value(self.gyro_bias),
-                accel_m_s2: problem.value(self.accel_bias),
-            },
-        }
-    }
-}
+use crate::inertial_blocks::{StateBlocks, about, add_bias_walks, add_samples};
+use crate::preintegration::{ImuErrors, Matrix9, PreintegratedImu, standard_gravity_m_s2};
+use crate::residuals::ImuPreintegration;
 
 /// Blocks of what is the same all along: gravity in the world, and errors of the IMU.
 #[derive(Clone, Copy)]
@@ -126,18 +92,6 @@ fn axes(scale: f64, shear: f64) -> Vector6<f64> {
     Vector6::new(scale, scale, scale, shear, shear, shear)
 }
 
-/// A block with what is known of it beforehand.
-fn about<const N: usize>(
-    problem: &mut Problem,
-    known: SVector<f64, N>,
-    sigmas: SVector<f64, N>,
-) -> Result<Block<SVector<f64, N>>, Error> {
-    let block = problem.add_block(known);
-    let prior = VectorPrior::new(known, sigmas);
-    problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-    Ok(block)
-}
-
 /// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours among some frames, from the first on, and what is known of the biases
 /// beforehand. The IMU is summed up with the biases that the blocks have now. `None` without frames.
 pub(super) fn add_inertial_residuals(
@@ -155,47 +109,30 @@ pub(super) fn add_inertial_residuals(
     let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
     let has_map = walk.frames.iter().any(|frame| !frame.fixed.is_empty());
     let shared = InertialBlocks::add(problem, config, has_map)?;
-    for (block, sigma) in [
-        (first.gyro_bias, config.gyro_bias_sigma_rad_s),
-        (first.accel_bias, config.accel_bias_sigma_m_s2),
-    ] {
-        let prior = VectorPrior::new(Vector3::zeros(), Vector3::repeat(sigma));
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-    }
+    first.hold_biases(
+        problem,
+        config.gyro_bias_sigma_rad_s,
+        config.accel_bias_sigma_m_s2,
+    )?;
+    let errors = [
+        shared.gyro_axes.id(),
+        shared.accel_axes.id(),
+        shared.accel_turn_rad.id(),
+        shared.accel_delay_s.id(),
+        shared.world_scale.id(),
+    ];
     for (k, (pair, interval)) in states.windows(2).zip(intervals).enumerate() {
-        let [a, b] = [pair[0], pair[1]];
+        let ends = [&pair[0], &pair[1]];
         let frame = first_frame + k;
         let duration_secs = walk.frames[frame + 1]
             .time
             .secs_since(walk.frames[frame].time);
         let room = room_to_wander(walk, frame, &config.inertial);
-        for (from, to, walk_per_sqrt_s) in [
-            (a.gyro_bias, b.gyro_bias, walk.noise.gyro_bias_walk),
-            (a.accel_bias, b.accel_bias, walk.noise.accel_bias_walk),
-        ] {
-            let wander = BiasWalk {
-                walk_per_sqrt_s: room * walk_per_sqrt_s,
-                duration_secs,
-            };
-            problem.add_residual(wander, &[from.id(), to.id()], Kernel::Squared)?;
-        }
+        add_bias_walks(problem, ends, duration_secs, &walk.noise, room)?;
         let interval = interval.unwrap_or_else(|| any_motion(&now[k], duration_secs));
         if let Some(residual) = ImuPreintegration::new(interval) {
-            let blocks = [
-                a.pose.id(),
-                a.velocity.id(),
-                a.gyro_bias.id(),
-                a.accel_bias.id(),
-                b.pose.id(),
-                b.velocity.id(),
-                shared.gravity.id(),
-                shared.gyro_axes.id(),
-                shared.accel_axes.id(),
-                shared.accel_turn_rad.id(),
-                shared.accel_delay_s.id(),
-                shared.world_scale.id(),
-            ];
-            problem.add_residual(residual.with_errors(), &blocks, Kernel::Squared)?;
+            let samples = residual.with_errors();
+            add_samples(problem, ends, shared.gravity, samples, &errors)?;
         }
     }
     Ok(Some(shared))

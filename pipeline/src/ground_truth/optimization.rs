@@ -8,9 +8,10 @@ use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::inertial::{InertialBlocks, StateBlocks, add_inertial_residuals};
+use super::inertial::{InertialBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
+use crate::inertial_blocks::StateBlocks;
 use crate::preintegration::{ImuErrors, standard_gravity_m_s2};
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;

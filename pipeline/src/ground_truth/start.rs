@@ -6,10 +6,11 @@ use lsfb_types::ProgressFn;
 
 use super::consensus::consistent_sets;
 use super::drift::drifts;
-use super::inertial::{StateBlocks, add_inertial_residuals};
+use super::inertial::add_inertial_residuals;
 use super::walk::{FrameState, LocalizedPose, Walk};
 use super::{GroundTruthConfig, LocalizedInstant};
 use crate::Error;
+use crate::inertial_blocks::StateBlocks;
 use crate::preintegration::{ImuBias, NavState};
 use crate::solve::solve_until_converged;
 

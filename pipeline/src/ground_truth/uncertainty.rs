@@ -15,10 +15,11 @@ use nalgebra::SMatrix;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::inertial::{StateBlocks, add_inertial_residuals};
+use super::inertial::add_inertial_residuals;
 use super::report::{local_errors, map_errors};
 use super::walk::{FixedObservation, LocalObservation, LocalPoint, Walk};
 use crate::Error;
+use crate::inertial_blocks::StateBlocks;
 use crate::residuals::{CameraCorrection, MovingReprojection};
 
 /// Frames whose covariance one window gives, and time before and after them that it covers, seconds.

@@ -6,7 +6,8 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use crate::Error;
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
+pub(super) use crate::inertial_blocks::FrameState;
+use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::residuals::MovingCamera;
 
 /// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
@@ -79,13 +80,6 @@ impl LocalPoint {
     pub fn is_determined(&self) -> bool {
         self.observations.iter().filter(|seen| seen.used).count() >= 2
     }
-}
-
-/// What is searched at each frame: `C_i` of eq. (5).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct FrameState {
-    pub nav: NavState,
-    pub bias: ImuBias,
 }
 
 impl Walk {

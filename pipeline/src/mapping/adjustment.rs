@@ -1,14 +1,15 @@
-//! Eq. (4): keyframe poses and points from LiDAR planes and edges, reprojections and the odometry.
+//! Eq. (4): keyframe poses and points from LiDAR planes and edges, reprojections, the odometry and, where that is asked for, the IMU.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
 use lsfb_perception::RelativePose;
-use lsfb_solver::{Block, Kernel, Problem, Report};
+use lsfb_solver::{Block, Kernel, Problem, Report, SolveConfig};
 use lsfb_types::ProgressFn;
 
 use super::control::{ControlBlocks, ControlTerms, SolvedControl, add_control};
+use super::inertial::{InertialBlocks, InertialEstimate, InertialTerm};
 use super::keyframes::Keyframes;
 use super::matched::{MatchedEdge, MatchedPlane};
 use super::scan_pairs::Compared;
@@ -22,6 +23,8 @@ use crate::solve::solve_or_stop;
 /// What an IMU alone is off by after a second, metres; it grows with the power 3/2 of time: 18 cm after five seconds of a walk through an office and 45 cm
 /// after eight on stairs (`docs/figures.md`).
 const BLIND_M: f64 = 0.02;
+/// The IMU ties neighbours far more firmly than they are held to places: damping by a share of that would hold the whole.
+const MOST_DAMPING_WITH_IMU: f64 = 1e-10;
 
 /// What is minimised besides the reprojection errors of the points, and how much each term weighs.
 pub(super) struct Terms<'a> {
@@ -33,17 +36,44 @@ pub(super) struct Terms<'a> {
     pub weights: Weights,
     /// Control points that hold the map, or marks that are placed.
     pub control: Option<&'a ControlTerms<'a>>,
+    /// What the IMU says between keyframes, where that is asked for.
+    pub imu: Option<&'a InertialTerm<'a>>,
+}
+
+impl Terms<'_> {
+    /// When a minimisation with these terms stops.
+    pub fn solver(&self, config: &MappingConfig) -> SolveConfig {
+        let mut solver = config.solver;
+        if self.imu.is_some() {
+            solver.initial_damping = solver.initial_damping.min(MOST_DAMPING_WITH_IMU);
+        }
+        solver
+    }
 }
 
 /// Eq. (4) at the poses and points at hand.
 pub(super) struct Equation {
     pub problem: Problem,
-    /// The keyframes, the first of which is held.
-    pub poses: Vec<Block<Se3>>,
+    pub keyframes: KeyframeBlocks,
     /// The points.
     pub points: Vec<Block<Vector3<f64>>>,
     /// What control points bring, where there are any.
     pub control: Option<ControlBlocks>,
+}
+
+/// Blocks of the keyframes.
+pub(super) struct KeyframeBlocks {
+    /// The first is held.
+    pub poses: Vec<Block<Se3>>,
+    /// What the IMU brings, where it takes part.
+    pub inertial: Option<InertialBlocks>,
+}
+
+/// What Eq. (4) found beside keyframes and points.
+pub(super) struct Adjusted {
+    pub report: Report,
+    pub control: Option<SolvedControl>,
+    pub inertial: Option<InertialEstimate>,
 }
 
 /// Minimises Eq. (4); `keyframes` and `points` take the result.
@@ -54,14 +84,15 @@ pub(super) fn adjust(
     terms: &Terms,
     config: &MappingConfig,
     progress: ProgressFn<'_>,
-) -> Result<(Report, Option<SolvedControl>), Error> {
+) -> Result<Adjusted, Error> {
     let Equation {
         mut problem,
-        poses,
+        keyframes: KeyframeBlocks { poses, inertial },
         points: blocks,
         control,
     } = equation(rig, keyframes, points, terms, config)?;
-    let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
+    let solver = terms.solver(config);
+    let report = solve_or_stop("map adjustment", &mut problem, &solver, progress)?;
     for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
         keyframe.world_from_rig = problem.value(*block);
     }
@@ -69,8 +100,12 @@ pub(super) fn adjust(
         point.point_in_world = problem.value(*block);
     }
     let control = control.zip(terms.control);
-    let control = control.and_then(|(blocks, terms)| blocks.solved(&problem, terms));
-    Ok((report, control))
+    let inertial = inertial.zip(terms.imu);
+    Ok(Adjusted {
+        report,
+        control: control.and_then(|(blocks, terms)| blocks.solved(&problem, terms)),
+        inertial: inertial.map(|(blocks, imu)| imu.solved(&problem, &blocks)),
+    })
 }
 
 /// Sets up Eq. (4).
@@ -82,7 +117,8 @@ pub(super) fn equation(
     config: &MappingConfig,
 ) -> Result<Equation, Error> {
     let mut problem = Problem::new();
-    let poses = add_keyframes(&mut problem, keyframes, terms, config)?;
+    let added = add_keyframes(&mut problem, keyframes, terms, config)?;
+    let poses = &added.poses;
     let observing: BTreeMap<&str, Arc<ObservingCamera>> = rig
         .cameras
         .iter()
@@ -109,22 +145,22 @@ pub(super) fn equation(
         }
     }
     let control = terms.control;
-    let control = control.map(|terms| add_control(&mut problem, &observing, &poses, terms));
+    let control = control.map(|terms| add_control(&mut problem, &observing, poses, terms));
     Ok(Equation {
         control: control.transpose()?,
         problem,
-        poses,
+        keyframes: added,
         points: blocks,
     })
 }
 
-/// Adds the poses of the keyframes and what holds them besides images: the first, the odometry and the LiDAR.
+/// Adds the poses of the keyframes and what holds them besides images: the first, the odometry, the LiDAR and the IMU.
 pub(super) fn add_keyframes(
     problem: &mut Problem,
     keyframes: &Keyframes,
     terms: &Terms,
     config: &MappingConfig,
-) -> Result<Vec<Block<Se3>>, Error> {
+) -> Result<KeyframeBlocks, Error> {
     let poses: Vec<Block<Se3>> = keyframes
         .frames
         .iter()
@@ -136,7 +172,11 @@ pub(super) fn add_keyframes(
     }
     let contradicted = terms.weights.contradicted;
     let measured = terms.odometry.windows(2).zip(terms.blind_s);
-    for (pair, (measured, blind_s)) in poses.windows(2).zip(measured) {
+    for (k, (pair, (measured, blind_s))) in poses.windows(2).zip(measured).enumerate() {
+        // The start has nothing there but the samples, which then say it themselves, and how well they know it.
+        if *blind_s > 0.0 && terms.imu.is_some_and(|imu| imu.has(k)) {
+            continue;
+        }
         let blind_m = BLIND_M * blind_s.powf(1.5);
         let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
         let residual = RelativePose::isotropic(
@@ -148,7 +188,11 @@ pub(super) fn add_keyframes(
         problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
     }
     add_scans(problem, &poses, terms, config.terms)?;
-    Ok(poses)
+    let inertial = terms.imu.map(|imu| imu.add(problem, &poses));
+    Ok(KeyframeBlocks {
+        inertial: inertial.transpose()?,
+        poses,
+    })
 }
 
 fn add_scans(

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::control::ControlConfig;
 use crate::features::{LearnedConfig, SiftConfig};
 use crate::hd_map::{HdMapConfig, ReconstructionConfig};
+use crate::inertial_blocks::USUAL_NOISE_FACTOR;
 use crate::lidar_features::LidarFeatureConfig;
 use crate::odometry::OdometryConfig;
 
@@ -49,6 +50,8 @@ pub struct MappingConfig {
     pub odometry_rotation_sigma_deg: f64,
     /// Standard deviation of the odometry's translation, metres per square root of a second.
     pub odometry_translation_sigma_m: f64,
+    /// By how much the IMU's noise is taken larger than the rig file says, where `terms.imu` asks for it: densities leave out scale errors and vibration.
+    pub imu_noise_factor: f64,
     /// How often correspondences are sought anew at most: until the keyframes rest, and with them matches and cost; ten times at least from a
     /// trajectory that is given to start from.
     pub outer_iterations: usize,
@@ -58,7 +61,7 @@ pub struct MappingConfig {
     pub solver: SolveConfig,
 }
 
-/// Which measurements Eq. (4) takes: all of them, but to see what each is good for.
+/// Which measurements Eq. (4) takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TermConfig {
@@ -68,6 +71,9 @@ pub struct TermConfig {
     pub edges: bool,
     /// Reprojections of map points. Without them points are triangulated with the poses that the LiDAR gives.
     pub images: bool,
+    /// What the IMU says of the motion from each keyframe to the next. The start has it from the odometry already; it is for walks on which scans stay away, see too
+    /// little, or another program's start is far off. The recording must have an IMU.
+    pub imu: bool,
 }
 
 impl Default for TermConfig {
@@ -76,6 +82,7 @@ impl Default for TermConfig {
             planes: true,
             edges: true,
             images: true,
+            imu: false,
         }
     }
 }
@@ -85,6 +92,7 @@ lsfb_types::bounds! {
         planes: any,
         edges: any,
         images: any,
+        imu: any,
     }
 }
 
@@ -135,6 +143,7 @@ impl Default for MappingConfig {
             revisit_distance_m: 2.0,
             odometry_rotation_sigma_deg: 0.2,
             odometry_translation_sigma_m: 0.01,
+            imu_noise_factor: USUAL_NOISE_FACTOR,
             outer_iterations: 10,
             max_reprojection_px: 3.0,
             solver: SolveConfig {
@@ -174,6 +183,7 @@ lsfb_types::bounds! {
         revisit_distance_m: number(Bounds::NOT_NEGATIVE),
         odometry_rotation_sigma_deg: number(Bounds::POSITIVE),
         odometry_translation_sigma_m: number(Bounds::POSITIVE),
+        imu_noise_factor: number(Bounds::POSITIVE),
         outer_iterations: any,
         max_reprojection_px: number(Bounds::POSITIVE),
         solver: section,

@@ -3,12 +3,14 @@
 use lsfb_geometry::StampedPose;
 
 use super::control::Hold;
+use super::inertial::InertialEstimate;
 use super::keyframes::{Keyframe, Keyframes};
 use super::weights::Contradicted;
 use super::{MappingReport, Optimised, Rounds, ScanOffsets};
 use crate::features::{Features, Keypoint};
 use crate::hd_map::{KeyframeImage, MapPoint, PointObservation, SiteFrame};
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
+use crate::preintegration::ImuBias;
 use crate::surface::Agreement;
 
 keep_fields! {
@@ -35,7 +37,9 @@ keep_fields! {
     }
     Hold { centred_from_world, marks, map_factor }
     SiteFrame { origin_m, control_points }
-    Rounds { done, most, poses, matched, contradicted, hold, told }
+    ImuBias { gyro_rad_s, accel_m_s2 }
+    InertialEstimate { velocities_m_s, biases, gravity_m_s2 }
+    Rounds { done, most, poses, matched, contradicted, hold, inertial, told }
 }
 
 impl Keep for Keyframes {

@@ -5,6 +5,7 @@ mod camera_error;
 mod config;
 mod control;
 mod image_check;
+mod inertial;
 mod kept;
 mod keyframe_scans;
 mod keyframes;
@@ -47,12 +48,14 @@ use crate::odometry::{Damages, run_odometry, scan_count};
 use crate::read_ahead::read_ahead;
 use crate::stored_clouds::StoredClouds;
 use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
-use adjustment::{Terms, adjust};
+use adjustment::{Adjusted, Terms, adjust};
 pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig, TermConfig};
 pub use control::{Control, ControlConfig, ControlMark, ControlReport};
 use control::{Hold, Marks, SolvedControl};
 use image_check::describe_images;
+pub use inertial::InertialReport;
+use inertial::{InertialEstimate, KeyframeImu, RecordedImu};
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframes, choose_keyframes, find_cameras};
 use pose_covariance::{mark_covariance, pose_covariances};
@@ -157,6 +160,8 @@ pub fn build_map_in_stages(
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
     let cameras = find_cameras(recording, &rig, &mut report.warnings)?;
+    // Before anything that takes a while.
+    let imu = RecordedImu::read(recording, &rig, config)?;
     let (trajectory, by_odometry) = match start {
         Start::Odometry => stages.once("odometry", || walk(recording, config, progress))?,
         Start::Given(given) => (given.clone(), reached(recording, given)?),
@@ -169,6 +174,13 @@ pub fn build_map_in_stages(
         let missing = scans.saturating_sub(clouds.scan_count());
         (missing > 2).then_some(MappingWarning::CloudsPartial { missing, scans })
     }));
+    if let (Start::Given(_), Some(imu)) = (&start, &imu) {
+        // Of its own start the odometry has said so.
+        let damaged = (imu.damaged > 0).then(|| MappingWarning::Damaged {
+            what: format!("{} inertial samples could not be read", imu.damaged),
+        });
+        report.warnings.extend(damaged);
+    }
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let (mut keyframes, damaged) = stages.once("images", || {
         let mut damages = Damages::default();
@@ -221,6 +233,7 @@ pub fn build_map_in_stages(
                 stages,
                 name,
                 control,
+                imu: imu.as_ref(),
                 regions: &regions,
             };
             optimise(rig, keyframes, trajectory, config, report, &run, progress)
@@ -491,6 +504,7 @@ struct Run<'a> {
     stages: &'a KeptStages,
     name: &'static str,
     control: Option<&'a Control>,
+    imu: Option<&'a RecordedImu>,
     regions: &'a Regions,
 }
 
@@ -508,6 +522,8 @@ struct Rounds {
     contradicted: Contradicted,
     /// The control points that hold the map, once it was at rest without them.
     hold: Option<Hold>,
+    /// What is found beside the poses, where the IMU takes part.
+    inertial: Option<InertialEstimate>,
     /// The report so far.
     told: MappingReport,
 }
@@ -547,6 +563,15 @@ fn optimise(
     let blind_s = blind_secs(odometry, trajectory, &report.odometry.gaps);
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
+    let imu = run
+        .imu
+        .map(|imu| imu.between(odometry, trajectory, &report.odometry))
+        .transpose()?;
+    let term_at = |estimate: &Option<InertialEstimate>| {
+        let imu: Option<(&KeyframeImu, &InertialEstimate)> = imu.as_ref().zip(estimate.as_ref());
+        imu.map(|(imu, estimate)| imu.term(estimate)).transpose()
+    };
+    let mut inertial = imu.as_ref().map(|imu| imu.start.clone());
     let mut contradicted = Contradicted::default();
     let mut matched = odometry.clone();
     let mut current = odometry.clone();
@@ -568,6 +593,7 @@ fn optimise(
         (round, most_rounds) = (rounds.done, rounds.most);
         (current, hold) = (rounds.poses, rounds.hold);
         (matched, contradicted) = (rounds.matched, rounds.contradicted);
+        inertial = rounds.inertial;
         *report = rounds.told;
     }
     let look_at = |poses: &[StampedPose], keyframes: &mut Keyframes| {
@@ -620,15 +646,21 @@ fn optimise(
             let placed = marks.place(rig, &before, &config.control);
             marks.terms(&placed, Some(hold))
         });
+        let term = term_at(&inertial)?;
         let terms = Terms {
             scans: &scans,
             odometry,
             blind_s: &blind_s,
             weights,
             control: control.as_ref(),
+            imu: term.as_ref(),
         };
         let solved;
-        (solved, in_site) = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
+        Adjusted {
+            report: solved,
+            control: in_site,
+            inertial,
+        } = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
         drop_misplaced(
             rig,
             keyframes,
@@ -667,6 +699,7 @@ fn optimise(
             // Held against the map before they pull at it.
             let placed = marks.place(rig, &poses, &config.control);
             let placing = marks.terms(&placed, None);
+            let term = term_at(&inertial)?;
             let checked = Checked {
                 rig,
                 keyframes,
@@ -678,6 +711,7 @@ fn optimise(
                     blind_s: &blind_s,
                     weights,
                     control: placing.as_ref(),
+                    imu: term.as_ref(),
                 },
             };
             let covariance_m2 = match &placing {
@@ -709,6 +743,7 @@ fn optimise(
             matched: matched.clone(),
             contradicted,
             hold: hold.clone(),
+            inertial: inertial.clone(),
             told: report.clone(),
         };
         run.stages.keep(run.name, &rounds)?;
@@ -732,6 +767,8 @@ fn optimise(
             None => said.lost(),
         }
     }
+    let term = term_at(&inertial)?;
+    report.imu = term.as_ref().map(|term| term.report(&keyframes.poses()));
     let checked = Checked {
         rig,
         keyframes,
@@ -743,6 +780,7 @@ fn optimise(
             blind_s: &blind_s,
             weights,
             control: control.as_ref(),
+            imu: term.as_ref(),
         },
     };
     let shown = camera_errors(&checked, config, progress)?.unwrap_or_else(|warning| {

@@ -39,8 +39,11 @@ pub(super) fn pose_covariances(
     progress: ProgressFn<'_>,
 ) -> Result<Result<Vec<Matrix6<f64>>, MappingWarning>, Error> {
     let terms = &checked.terms;
-    let Equation { problem, poses, .. } = determined(checked, points, config)?;
-    let groups: Vec<Vec<BlockId>> = poses.iter().skip(1).map(|pose| vec![pose.id()]).collect();
+    let Equation {
+        problem, keyframes, ..
+    } = determined(checked, points, config)?;
+    let poses = keyframes.poses.iter();
+    let groups: Vec<Vec<BlockId>> = poses.skip(1).map(|pose| vec![pose.id()]).collect();
     let total = groups.len() as u64;
     let found = covariance_of_groups(&problem, &groups, |done| {
         progress(Progress {

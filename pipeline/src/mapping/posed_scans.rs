@@ -213,6 +213,7 @@ pub fn refine_scan_poses(
                     ..Weights::estimate(&lidar, &[], &settings.correlation)
                 },
                 control: None,
+                imu: None,
             };
             let before = keyframes.poses();
             adjust(&rig, &mut keyframes, &mut [], &terms, &settings, progress)?;

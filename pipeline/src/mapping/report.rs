@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera_error::CameraError;
 use super::control::ControlReport;
+use super::inertial::InertialReport;
 use super::residuals::{CameraResiduals, LidarResiduals, RegionResiduals};
 use super::scan_offsets::ScanOffsets;
 use crate::loops::Closing;
@@ -71,6 +72,9 @@ pub struct MappingReport {
     /// What control points say of the map, and it of them; absent where none were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control: Option<ControlReport>,
+    /// What the IMU's term was made of; absent where the settings do not ask for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<InertialReport>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -94,6 +98,7 @@ impl MappingReport {
             .chain(of_scans)
             .chain(self.scan_offsets.iter().flat_map(ScanOffsets::findings))
             .chain(self.control.iter().flat_map(ControlReport::findings))
+            .chain(self.imu.iter().flat_map(InertialReport::findings))
             .chain(of_cameras)
             .collect()
     }

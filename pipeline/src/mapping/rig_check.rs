@@ -181,7 +181,7 @@ fn solve_round(
 ) -> Result<Vec<Found>, Error> {
     let Keyframes { frames, images } = checked.keyframes;
     let mut problem = Problem::new();
-    let poses = add_keyframes(&mut problem, checked.keyframes, &checked.terms, config)?;
+    let poses = add_keyframes(&mut problem, checked.keyframes, &checked.terms, config)?.poses;
     let cameras = FreedCameras::add_to(&mut problem, rig, &possible())?;
     let motions: Vec<FrameMotion> = frames
         .iter()
@@ -195,7 +195,8 @@ fn solve_round(
         point_sigma: POINT_SIGMA_M,
     };
     cameras.add_points(&mut problem, points, &sights)?;
-    solve_or_stop("cameras", &mut problem, &config.solver, progress)?;
+    let solver = checked.terms.solver(config);
+    solve_or_stop("cameras", &mut problem, &solver, progress)?;
     let blocks: Vec<_> = cameras.corrections().map(|(_, block)| block).collect();
     let ids: Vec<_> = blocks.iter().map(|block| block.id()).collect();
     let covariance = covariance(&problem, &ids)?;

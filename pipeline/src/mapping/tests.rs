@@ -343,7 +343,8 @@ fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
     let path = folder.path().join("scan.mcap");
     record(&path, 4.0, &["cam0", "cam1"], 0.03);
     let recording = Recording::open(&path).expect("recording");
-    let config = MappingConfig::default();
+    let mut config = MappingConfig::default();
+    config.terms.imu = true;
     let shown = Mutex::new(Vec::new());
     let show = |p: Progress| {
         let mut shown = shown.lock().expect("stages");
@@ -353,6 +354,11 @@ fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
         Ok(())
     };
     let whole = build_map(&recording, &config, &show).expect("map");
+    let imu = whole.report.imu.expect("its term");
+    assert_eq!((imu.factors, imu.left_out), (whole.report.keyframes - 1, 0));
+    assert!((0.5..2.0).contains(&imu.rms_sigmas), "{imu:?}");
+    let off_m = rms_error_m(&whole.trajectory);
+    assert!(off_m < 5e-3, "{off_m} m");
     let stages = std::mem::take(&mut *shown.lock().expect("stages"));
     assert!(stages.len() >= 6, "{stages:?}");
 

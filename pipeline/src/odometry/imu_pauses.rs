@@ -17,7 +17,7 @@ const STANDS_M: f64 = 0.1;
 const STANDS_RAD: f64 = 0.05;
 
 /// From and until when, seconds after the first scan of the walk.
-pub(super) fn imu_pauses(samples: &[Stamped<ImuSample>], walk: &[StampedPose]) -> Vec<[f64; 2]> {
+pub(crate) fn imu_pauses(samples: &[Stamped<ImuSample>], walk: &[StampedPose]) -> Vec<[f64; 2]> {
     let [first, .., last] = walk else {
         return Vec::new();
     };
