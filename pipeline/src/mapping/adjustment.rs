@@ -41,7 +41,7 @@ pub(super) struct Terms<'a> {
 }
 
 impl Terms<'_> {
-    /// When a minimisation with these terms stops.
+    /// How these terms are minimised.
     pub fn solver(&self, config: &MappingConfig) -> SolveConfig {
         let mut solver = config.solver;
         if self.imu.is_some() {

@@ -55,7 +55,7 @@ pub use control::{Control, ControlConfig, ControlMark, ControlReport};
 use control::{Hold, Marks, SolvedControl};
 use image_check::describe_images;
 pub use inertial::InertialReport;
-use inertial::{InertialEstimate, KeyframeImu, RecordedImu};
+use inertial::{InertialEstimate, RecordedImu};
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframes, choose_keyframes, find_cameras};
 use pose_covariance::{mark_covariance, pose_covariances};
@@ -568,8 +568,8 @@ fn optimise(
         .map(|imu| imu.between(odometry, trajectory, &report.odometry))
         .transpose()?;
     let term_at = |estimate: &Option<InertialEstimate>| {
-        let imu: Option<(&KeyframeImu, &InertialEstimate)> = imu.as_ref().zip(estimate.as_ref());
-        imu.map(|(imu, estimate)| imu.term(estimate)).transpose()
+        let both = imu.as_ref().zip(estimate.as_ref());
+        both.map(|(imu, estimate)| imu.term(estimate)).transpose()
     };
     let mut inertial = imu.as_ref().map(|imu| imu.start.clone());
     let mut contradicted = Contradicted::default();
