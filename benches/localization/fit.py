@@ -50,13 +50,6 @@ def against_likeness(row):
     return of_place / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))
 
 
-def twin_share(row):
-    """What the best pose elsewhere has of what the pose has, of guided inliers or of decades."""
-    inliers = float(row["twin_inliers"]) / max(float(row["guided_inliers"]), 1)
-    own, other = (max(-float(row[f"log10_false_alarms{of}"]), 0) for of in ("", "_twin"))
-    return min(inliers, other / max(own, 1))
-
-
 def is_right(row):
     distance_m, angle_deg = float(row["distance_m"]), float(row["angle_deg"])
     return distance_m <= RIGHT_M[row["place"]] and angle_deg <= RIGHT_DEG
@@ -97,7 +90,7 @@ def main():
     feature = np.array([row["feature"] for row in rows])
     alarms = 10.0 ** np.minimum([float(row["log10_false_alarms"]) for row in rows], 9)
     rival = np.array([float(row["rival_inliers"]) / max(float(row["first_inliers"]), 1) for row in rows])
-    twin = np.array([twin_share(row) for row in rows])
+    twin = np.array([float(row["twin_inliers"]) / max(float(row["guided_inliers"]), 1) for row in rows])
     alike = np.array([against_likeness(row) for row in rows])
     contradicted = np.array([focal_contradicted(row) for row in rows])
     in_fit = ~np.isin(kind, WRONG_CAMERA)

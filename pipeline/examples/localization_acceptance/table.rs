@@ -130,7 +130,7 @@ pub fn summary(rows: &[Row]) -> String {
 pub fn csv(rows: &[Row]) -> String {
     let mut text = "feature,place,kind,image,accepted,right,distance_m,angle_deg,normalized_squared,probability,votes,\
                     first_matches,first_inliers,chance_level,log10_false_alarms,guided_inliers,decoy_inliers,\
-                    image_spread,first_spread,rival_inliers,twin_inliers,log10_false_alarms_twin,rms_px,focal_scale,focal_log_sigma,focal_decades,log10_false_alarms_mirrored,sigma_m\n"
+                    image_spread,first_spread,rival_inliers,twin_inliers,rms_px,focal_scale,focal_log_sigma,focal_decades,log10_false_alarms_mirrored,sigma_m\n"
         .to_owned();
     for row in rows {
         let outcome = &row.outcome;
@@ -150,7 +150,7 @@ pub fn csv(rows: &[Row]) -> String {
             let e = &best.evidence;
             let _ = write!(
                 text,
-                ",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                ",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 best.probability,
                 best.votes,
                 e.first_matches,
@@ -163,7 +163,6 @@ pub fn csv(rows: &[Row]) -> String {
                 e.first_spread,
                 e.rival_inliers,
                 e.twin_inliers,
-                e.log10_false_alarms_twin,
                 best.reprojection_rms_px,
                 e.focal_scale,
                 e.focal_log_sigma,

@@ -12,7 +12,7 @@ use lsfb_geometry::{Rig, Se3};
 use rayon::prelude::*;
 
 use super::guided_matching::{GuidedPose, Query};
-use super::localizer::{Found, Hypothesis, Localizer, MatchedQuery, contradict};
+use super::localizer::{Found, Localizer, MatchedQuery, contradict};
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization};
 use super::voting::Candidates;
@@ -127,7 +127,7 @@ fn poses_elsewhere(localizer: &Localizer, rig: &Rig, frame: &PlacedFrame) -> (us
         let candidates = frame.features.iter().map(|f| localizer.look_up(f));
         let candidates: Vec<Vec<Candidates>> = candidates.collect();
         let there = localizer.poses_elsewhere(query, &candidates, here, &matches_here);
-        let there = there.iter().map(|found| found.pose.world_from_rig);
+        let there = there.iter().map(|pose| pose.world_from_rig);
         Some((matches_here.len(), there.collect()))
     });
     found.unwrap_or_default()
@@ -141,7 +141,7 @@ impl Localizer {
         candidates: &[Vec<Candidates>],
         here: &Se3,
         matches_here: &[FeatureMatch],
-    ) -> Vec<Hypothesis> {
+    ) -> Vec<GuidedPose> {
         let shown_here: BTreeMap<(usize, u32), u32> = matches_here
             .iter()
             .map(|m| ((m.frame, m.keypoint), m.point))
@@ -165,7 +165,7 @@ impl Localizer {
             .collect();
         let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
         let places = &self.places;
-        let mut poses: Vec<Hypothesis> = Vec::new();
+        let mut poses: Vec<GuidedPose> = Vec::new();
         let mut tried: Vec<u32> = Vec::new();
         let mut places_tried = 0;
         for vote in places.vote(&all, self.config.min_votes) {
@@ -181,10 +181,11 @@ impl Localizer {
             tried.extend(&place);
             let seen = MatchedQuery::alone(query, &candidates);
             let found = self.pose_at(&seen, points, vote.votes);
-            poses.extend(found.filter(|found| {
-                found.pose.matches.len() >= FEWEST_MATCHES
-                    && contradict(&found.pose.world_from_rig, here)
-                    && !shows_the_same(&found.pose)
+            let found = found.map(|found| found.pose);
+            poses.extend(found.filter(|pose| {
+                pose.matches.len() >= FEWEST_MATCHES
+                    && contradict(&pose.world_from_rig, here)
+                    && !shows_the_same(pose)
             }));
         }
         poses

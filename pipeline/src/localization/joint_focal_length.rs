@@ -162,7 +162,6 @@ mod tests {
             decades_together: 0.02,
             rival_inliers: 0,
             twin_inliers: 0,
-            log10_false_alarms_twin: 0.0,
         }
     }
 

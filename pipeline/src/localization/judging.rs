@@ -95,7 +95,6 @@ impl Localizer {
             decades_together: decades_together(self.map.feature()),
             rival_inliers: found.rival_inliers,
             twin_inliers: 0,
-            log10_false_alarms_twin: 0.0,
         }
     }
 

@@ -196,16 +196,10 @@ impl Localizer {
         }
         let (here, matches) = (&pose.world_from_rig, &pose.matches);
         let there = self.poses_elsewhere(seen.query, seen.candidates, here, matches);
-        let places = there.len();
-        let false_alarms = |found: &Hypothesis| found.agreement.log10_false_alarms(places);
-        let twin = there
+        let there = there
             .iter()
-            .filter(|found| !seen.known.contradicts(&found.pose.world_from_rig))
-            .min_by(|a, b| false_alarms(a).total_cmp(&false_alarms(b)));
-        if let Some(twin) = twin {
-            pose.evidence.twin_inliers = twin.pose.matches.len();
-            pose.evidence.log10_false_alarms_twin = false_alarms(twin);
-        }
+            .filter(|p| !seen.known.contradicts(&p.world_from_rig));
+        pose.evidence.twin_inliers = there.map(|p| p.matches.len()).max().unwrap_or(0);
         pose.probability = pose.evidence.probability();
         pose
     }

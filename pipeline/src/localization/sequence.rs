@@ -234,7 +234,6 @@ mod tests {
             decades_together: 0.02,
             rival_inliers: 0,
             twin_inliers: 0,
-            log10_false_alarms_twin: 0.0,
         };
         Ok(Localization {
             world_from_rig: Se3::new(Default::default(), Vector3::new(x_m, 0.0, 0.0)),

@@ -215,9 +215,9 @@ fn readings_that_stand_are_left_out() {
     let truth = poses(&times_s, room::world_from_rig);
     let path = trajectory(room::world_from_rig);
     let mut samples = room::imu_samples(WALK_S, 7);
-    let held = samples[1010].sample.clone();
+    let held = samples[1010].sample;
     for sample in &mut samples[1010..1290] {
-        sample.sample = held.clone();
+        sample.sample = held;
     }
     let recorded = RecordedImu::new(samples, &room::imu(), 1.0);
     let imu = recorded.between(&truth, &path, &OdometryReport::default());

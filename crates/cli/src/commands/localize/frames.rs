@@ -134,7 +134,7 @@ pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
 pub fn csv(frames: &[Frame]) -> String {
     let mut text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,position_sigma_m,\
                     rotation_sigma_deg,reprojection_rms_px,votes,first_matches,first_inliers,log10_false_alarms,known_decades,\
-                    decoy_inliers,rival_inliers,twin_inliers,log10_false_alarms_twin,image_spread,first_spread,log10_false_alarms_mirrored,focal_scale,focal_log_sigma,focal_decades"
+                    decoy_inliers,rival_inliers,twin_inliers,image_spread,first_spread,log10_false_alarms_mirrored,focal_scale,focal_log_sigma,focal_decades"
         .to_owned();
     for row in 0..6 {
         for column in 0..6 {
@@ -162,7 +162,7 @@ pub fn csv(frames: &[Frame]) -> String {
 }
 
 /// Fields of a line before the reason.
-const EMPTY_FIELDS: usize = 30 + 36;
+const EMPTY_FIELDS: usize = 29 + 36;
 
 impl Pose {
     fn fields(&self) -> Vec<String> {
@@ -186,7 +186,6 @@ impl Pose {
             e.decoy_inliers.to_string(),
             e.rival_inliers.to_string(),
             e.twin_inliers.to_string(),
-            e.log10_false_alarms_twin.to_string(),
             e.image_spread.to_string(),
             e.first_spread.to_string(),
             e.log10_false_alarms_mirrored.to_string(),
@@ -247,7 +246,6 @@ pub mod tests {
             decades_together: 0.02,
             rival_inliers: 0,
             twin_inliers: 0,
-            log10_false_alarms_twin: 0.0,
         };
         Frame {
             frame: name,
