@@ -26,6 +26,7 @@ FAR_LOG, FAR_DECADES = 0.035, 12.0
 DECADES_TOGETHER = {"sift": 0.028}
 DECADES_TOGETHER_LEARNED = 0.075
 OF_ONE_THING = 20.0
+TWIN_SHARE = 1.29
 
 
 def evidence(row):
@@ -97,7 +98,7 @@ def main():
     for fitted_on in ("office", "kitchen", None):
         used = in_fit & (place == fitted_on) if fitted_on else in_fit
         weights = fit(terms[used], right[used])
-        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) * alike / (1 + rival**6) / (1 + twin**6)
+        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) * alike / (1 + rival**6) / (1 + (twin / TWIN_SHARE) ** 6)
         accepted = (probability >= ACCEPTED) & ~contradicted
         print(f"fitted on {fitted_on or 'all'} ({used.sum()} queries): {weights.round(3)}")
         for one in dict.fromkeys(feature):

@@ -196,9 +196,10 @@ impl Localizer {
         }
         let (here, matches) = (&pose.world_from_rig, &pose.matches);
         let there = self.poses_elsewhere(seen.query, seen.candidates, here, matches);
-        let there = there
-            .iter()
-            .filter(|p| !seen.known.contradicts(&p.world_from_rig));
+        let there = there.iter().filter(|twin| {
+            is_another_place(here, &twin.world_from_rig)
+                && !seen.known.contradicts(&twin.world_from_rig)
+        });
         pose.evidence.twin_inliers = there.map(|p| p.matches.len()).max().unwrap_or(0);
         pose.probability = pose.evidence.probability();
         pose
@@ -418,6 +419,16 @@ fn doubted(mut pose: Localization, other: &Localization) -> Localization {
         pose.probability = pose.evidence.probability();
     }
     pose
+}
+
+/// A twin is another place if it is this far off: nearer ones are found where the map has a thing twice, at a wrong depth as well.
+const ANOTHER_PLACE_M: f64 = 2.5;
+const ANOTHER_PLACE_DEG: f64 = 60.0;
+
+fn is_another_place(a: &Se3, b: &Se3) -> bool {
+    let off = a.inverse() * *b;
+    off.translation.norm() > ANOTHER_PLACE_M
+        || off.rotation.angle().to_degrees() > ANOTHER_PLACE_DEG
 }
 
 /// Poses that differ by more than this are two answers, not one with errors.
