@@ -191,7 +191,8 @@ impl Localizer {
 
     /// The pose with the best one elsewhere, where it would be accepted though little speaks for it.
     fn held_against_twin(&self, mut pose: Localization, seen: &MatchedQuery) -> Localization {
-        if pose.probability < self.config.min_probability || !pose.evidence.is_thin() {
+        let is_asked = self.config.doubt_by_twins && pose.evidence.is_thin();
+        if pose.probability < self.config.min_probability || !is_asked {
             return pose;
         }
         let (here, matches) = (&pose.world_from_rig, &pose.matches);
