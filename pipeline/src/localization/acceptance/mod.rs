@@ -74,7 +74,7 @@ pub struct Evidence {
     /// First inliers of the best pose that contradicts this one and is not to be expected by chance either.
     pub rival_inliers: usize,
     /// Inliers after guided matching of the best pose elsewhere, where one was looked for: in what features may show besides what they
-    /// show here. Only of poses that little speaks for: see [`Evidence::is_thin`].
+    /// show here. Only of poses that little speaks for.
     pub twin_inliers: usize,
 }
 
