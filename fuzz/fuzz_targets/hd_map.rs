@@ -58,7 +58,9 @@ static WHOLE: LazyLock<Whole> = LazyLock::new(|| {
     let mounted = RigCamera {
         camera,
         rig_from_camera: Se3::identity(),
-        timing: Default::default(), sigmas: Default::default(), };
+        timing: Default::default(),
+        sigmas: Default::default(),
+    };
     rig.cameras.insert("cam0".to_owned(), mounted);
     let content = MapContent {
         rig: &rig,

@@ -291,8 +291,8 @@ pub enum Error {
     NoImuTerm {
         /// The recording.
         path: PathBuf,
-        /// What is missing.
-        reason: &'static str,
+        /// What is missing, or wrong.
+        reason: String,
     },
     /// No scan of a recording could be used.
     #[error("{path}: none of the {scans} LiDAR scans could be used: {why}", path = path.display())]

@@ -178,10 +178,7 @@ impl Default for GroundTruthConfig {
             learned: None,
             matching: MatchConfig::default(),
             triangulation: TriangulationConfig::default(),
-            localization: LocalizerConfig {
-                doubt_by_twins: false,
-                ..LocalizerConfig::default()
-            },
+            localization: LocalizerConfig::default(),
             localize_every_secs: 0.095,
             min_localized_frames: 5,
             min_agreeing_share: 0.3,

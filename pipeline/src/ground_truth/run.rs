@@ -99,7 +99,8 @@ fn solve_in_map(
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
     let RecordedWalk { rig, read, .. } = recorded;
-    let localizer = Localizer::new(map, &config.localization)?;
+    // Whether there is another place that looks alike is asked of the whole walk.
+    let localizer = Localizer::new(map, &config.localization)?.without_twins();
     let apart_secs = config.localize_every_secs;
     let looked_up =
         localize_frames_apart(&localizer, &read.frames, rig, apart_secs, stages, progress)?;

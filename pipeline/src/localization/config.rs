@@ -34,8 +34,6 @@ pub struct LocalizerConfig {
     pub projection_matching: MatchConfig,
     /// Least probability with which a pose that counts as found is right: see [`Evidence`](super::Evidence).
     pub min_probability: f64,
-    /// Whether an image that little speaks for is looked for elsewhere, and doubted where it is found there as well: the ground truth asks that of whole walks.
-    pub doubt_by_twins: bool,
 }
 
 impl Default for LocalizerConfig {
@@ -58,7 +56,6 @@ impl Default for LocalizerConfig {
                 max_distance: 0.75,
             },
             min_probability: 0.99,
-            doubt_by_twins: true,
         }
     }
 }
@@ -78,6 +75,5 @@ lsfb_types::bounds! {
         projection_radius_px: number(Bounds::POSITIVE),
         projection_matching: section,
         min_probability: number(Bounds::Within(0.0, 1.0)),
-        doubt_by_twins: any,
     }
 }

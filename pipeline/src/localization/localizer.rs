@@ -23,6 +23,8 @@ pub struct Localizer {
     pub(super) places: Places,
     pub(super) map_error: MapError,
     pub(super) config: LocalizerConfig,
+    /// Whether an image that little speaks for is looked for elsewhere, and doubted where it is found there as well.
+    asks_for_twins: bool,
 }
 
 /// The pose found at one place.
@@ -85,7 +87,16 @@ impl Localizer {
             places: Places::new(map),
             map_error,
             config: config.clone(),
+            asks_for_twins: true,
         })
+    }
+
+    /// Without looking for poses elsewhere that explain a single image as well, for who asks that of many images together.
+    pub(crate) fn without_twins(self) -> Self {
+        Self {
+            asks_for_twins: false,
+            ..self
+        }
     }
 
     /// The map.
@@ -191,15 +202,16 @@ impl Localizer {
 
     /// The pose with the best one elsewhere, where it would be accepted though little speaks for it.
     fn held_against_twin(&self, mut pose: Localization, seen: &MatchedQuery) -> Localization {
-        let is_asked = self.config.doubt_by_twins && pose.evidence.is_thin();
+        let is_asked = self.asks_for_twins && pose.evidence.is_thin();
         if pose.probability < self.config.min_probability || !is_asked {
             return pose;
         }
         let (here, matches) = (&pose.world_from_rig, &pose.matches);
         let there = self.poses_elsewhere(seen.query, seen.candidates, here, matches);
         let there = there.iter().filter(|twin| {
-            is_another_place(here, &twin.world_from_rig)
-                && !seen.known.contradicts(&twin.world_from_rig)
+            let there = &twin.world_from_rig;
+            are_apart(here, there, ANOTHER_PLACE_M, ANOTHER_PLACE_DEG)
+                && !seen.known.contradicts(there)
         });
         pose.evidence.twin_inliers = there.map(|p| p.matches.len()).max().unwrap_or(0);
         pose.probability = pose.evidence.probability();
@@ -426,18 +438,16 @@ fn doubted(mut pose: Localization, other: &Localization) -> Localization {
 const ANOTHER_PLACE_M: f64 = 2.5;
 const ANOTHER_PLACE_DEG: f64 = 60.0;
 
-fn is_another_place(a: &Se3, b: &Se3) -> bool {
-    let off = a.inverse() * *b;
-    off.translation.norm() > ANOTHER_PLACE_M
-        || off.rotation.angle().to_degrees() > ANOTHER_PLACE_DEG
-}
-
 /// Poses that differ by more than this are two answers, not one with errors.
 const SAME_POSE_M: f64 = 0.5;
 const SAME_POSE_DEG: f64 = 10.0;
 
 /// Whether two poses contradict each other.
 pub(super) fn contradict(a: &Se3, b: &Se3) -> bool {
+    are_apart(a, b, SAME_POSE_M, SAME_POSE_DEG)
+}
+
+fn are_apart(a: &Se3, b: &Se3, most_m: f64, most_deg: f64) -> bool {
     let off = a.inverse() * *b;
-    off.translation.norm() > SAME_POSE_M || off.rotation.angle().to_degrees() > SAME_POSE_DEG
+    off.translation.norm() > most_m || off.rotation.angle().to_degrees() > most_deg
 }

@@ -13,7 +13,7 @@ const RATE_QUANTILE: f64 = 0.95;
 
 /// What was found about the units of an IMU.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum ImuUnits {
+pub(crate) enum ImuUnits {
     /// As they should be.
     Right,
     /// The accelerometer measures in gravities; the samples were made m/s².
@@ -26,7 +26,7 @@ pub(super) enum ImuUnits {
 }
 
 /// Looks at the samples, and makes those of an accelerometer in gravities m/s².
-pub(super) fn mend_units(samples: &mut [Stamped<ImuSample>]) -> ImuUnits {
+pub(crate) fn mend_units(samples: &mut [Stamped<ImuSample>]) -> ImuUnits {
     let norm = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     let count = samples.len().max(1) as f64;
     let forces = samples.iter().map(|s| norm(s.sample.specific_force_m_s2));

@@ -39,6 +39,7 @@ use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
 pub use config::OdometryConfig;
 pub use degeneracy::{MotionKind, Unseen};
+pub(crate) use imu_check::{ImuUnits, mend_units};
 pub(crate) use imu_pauses::imu_pauses;
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;

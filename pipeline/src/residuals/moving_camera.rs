@@ -105,9 +105,10 @@ impl MovingCamera {
         let turn = correction.fixed_rows::<3>(entry::TURN).into_owned();
         let shift = correction.fixed_rows::<3>(entry::SHIFT).into_owned();
         let camera_from_rig = Se3::new(so3::exp(&turn), shift) * self.camera_from_rig;
-        Self::new(&RigCamera {
+        Arc::new(Self {
             camera,
-            rig_from_camera: camera_from_rig.inverse(),
+            camera_from_rig_rotation: camera_from_rig.rotation_matrix(),
+            camera_from_rig,
             timing: CameraTiming {
                 rig_from_camera_s: self.timing.rig_from_camera_s + correction[entry::CLOCK],
                 readout_s: self.timing.readout_s + correction[entry::READOUT],
@@ -116,13 +117,13 @@ impl MovingCamera {
         })
     }
 
-    /// As a rig file says it.
+    /// As a rig file says it, but for how well it is known: that is of what a calibration found, not of what images made of it.
     pub fn mounted(&self) -> RigCamera {
         RigCamera {
             camera: self.camera,
             rig_from_camera: self.camera_from_rig.inverse(),
             timing: self.timing,
-            sigmas: self.sigmas,
+            sigmas: CameraSigmas::default(),
         }
     }
 

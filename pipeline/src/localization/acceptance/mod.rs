@@ -178,7 +178,7 @@ impl Evidence {
     fn probability_against_likeness(&self) -> f64 {
         let decades = -self.false_alarms_as_known() / self.first_matches.max(1) as f64;
         let decades = decades * self.first_spread;
-        let together = 1.0 / (1.0 + (self.decades_together / decades.max(1e-9)).powi(6));
+        let together = against(self.decades_together / decades.max(1e-9));
         let by_mirror = self.log10_false_alarms - self.log10_false_alarms_mirrored;
         together / (1.0 + 10f64.powf(by_mirror))
     }
@@ -206,15 +206,15 @@ impl Evidence {
         self.guided_inliers as f64 - self.log10_false_alarms
     }
 
-    /// Whether so little speaks for the pose that things alike in two places may be all of it: then it is looked for elsewhere too.
-    pub(super) fn is_thin(&self) -> bool {
+    /// Whether so little speaks for the pose that things alike in two places may be all of it: then it is looked for elsewhere in the map. Of
+    /// places that are not in the map nothing can be told.
+    pub fn is_thin(&self) -> bool {
         self.strength() < THIN
     }
 
     /// One half where the rival has as many inliers, 0.98 where it has half of them.
     fn probability_against_rival(&self) -> f64 {
-        let share = self.rival_inliers as f64 / self.first_inliers.max(1) as f64;
-        1.0 / (1.0 + share.powi(6))
+        against(self.rival_inliers as f64 / self.first_inliers.max(1) as f64)
     }
 
     /// Whether the twin alone makes the pose doubtful.
@@ -225,8 +225,13 @@ impl Evidence {
     /// Below 0.99 where the twin has 0.7 times as many guided inliers: some are found wherever points are looked for.
     fn probability_against_twin(&self) -> f64 {
         let share = self.twin_inliers as f64 / self.guided_inliers.max(1) as f64;
-        1.0 / (1.0 + (share / TWIN_SHARE).powi(6))
+        against(share / TWIN_SHARE)
     }
+}
+
+/// Probability against an explanation that has this share of what a pose has.
+fn against(share: f64) -> f64 {
+    1.0 / (1.0 + share.powi(6))
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ use crate::inertial_blocks::{
     StateBlocks, USUAL_ACCEL_BIAS_M_S2, USUAL_GYRO_BIAS_RAD_S, about, add_bias_walks, add_samples,
     inflated,
 };
-use crate::odometry::{GRAVITY_M_S2, OdometryReport, imu_pauses};
+use crate::odometry::{GRAVITY_M_S2, ImuUnits, OdometryReport, imu_pauses, mend_units};
 use crate::preintegration::{
     ImuBias, ImuErrors, NavState, PreintegratedImu, standard_gravity_m_s2,
 };
@@ -58,9 +58,9 @@ impl RecordedImu {
         if !config.terms.imu {
             return Ok(None);
         }
-        let refused = |reason| Error::NoImuTerm {
+        let refused = |reason: &str| Error::NoImuTerm {
             path: recording.path().to_owned(),
-            reason,
+            reason: reason.to_owned(),
         };
         let noise = rig
             .imu_noise()
@@ -76,9 +76,13 @@ impl RecordedImu {
                 "its rig file says that the IMU has no noise, or a bias that never wanders",
             ));
         }
-        let (samples, damaged) = read_imu_if_any(recording)?;
+        let (mut samples, damaged) = read_imu_if_any(recording)?;
         if samples.len() < 2 {
             return Err(refused("it has no samples of one"));
+        }
+        // Of an accelerometer in gravities the odometry says so.
+        if let ImuUnits::Wrong { problem } = mend_units(&mut samples) {
+            return Err(refused(&problem));
         }
         Ok(Some(Self {
             damaged,

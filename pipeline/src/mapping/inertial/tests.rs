@@ -261,3 +261,43 @@ fn a_recording_without_an_imu_is_refused_where_it_is_to_take_part() {
     let noiseless = told(&config, "noiseless.mcap", &with).expect("refused");
     assert!(noiseless.contains("no noise"), "{noiseless}");
 }
+
+/// An accelerometer in gravities says the same as one in m/s²; a gyroscope in degrees is not taken.
+#[test]
+fn the_term_has_the_units_that_the_odometry_has() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut config = MappingConfig::default();
+    config.terms.imu = true;
+    let mut rig = Rig::empty("with");
+    rig.set_imu_noise(room::imu());
+    let read = |name: &str, change: &dyn Fn(&mut ImuSample)| {
+        let path = folder.path().join(name);
+        let mut writer = Writer::create(&path, &WriterConfig::default()).expect("create");
+        writer.attach_rig(&rig).expect("rig");
+        for mut sample in room::imu_samples(2.0, 7) {
+            change(&mut sample.sample);
+            writer.write_imu("imu0", &sample).expect("imu");
+        }
+        writer.finish().expect("finish");
+        let recording = Recording::open(&path).expect("recording");
+        let imu = RecordedImu::read(&recording, &rig, &config);
+        imu.map(|imu| imu.expect("asked for").samples)
+    };
+    let right = read("right.mcap", &|_| ()).expect("samples");
+    let in_gravities = read("gravities.mcap", &|sample| {
+        let force = &mut sample.specific_force_m_s2;
+        *force = force.map(|c| c / GRAVITY_M_S2);
+    });
+    let in_gravities = in_gravities.expect("samples");
+    assert_eq!(in_gravities.len(), right.len());
+    for (a, b) in in_gravities.iter().zip(&right) {
+        let (a, b) = (a.sample.specific_force_m_s2, b.sample.specific_force_m_s2);
+        let off = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        assert!(off.fold(0.0, f64::max) < 1e-9);
+    }
+    let in_degrees = read("degrees.mcap", &|sample| {
+        sample.angular_velocity_rad_s = [120.0; 3];
+    });
+    let error = in_degrees.expect_err("no unit of a gyroscope").to_string();
+    assert!(error.contains("degrees per second"), "{error}");
+}

@@ -108,6 +108,8 @@ struct Summary {
     min_probability: f64,
     /// By the paper's rule, whatever their probability.
     more_than_30_inliers: usize,
+    /// Localized by so little that a place outside the map that looks the same may have all of it.
+    by_little: usize,
     /// Within 10 cm and 5° of the listed pose; `None` where no poses are listed.
     right: Option<usize>,
     /// Of all images; empty where no poses are listed.
@@ -231,10 +233,12 @@ fn summary(frames: Vec<Frame>, input: &Input, localizer: &Localizer) -> Summary 
         angle_deg,
         share: within(distance_m, angle_deg) as f64 / frames.len().max(1) as f64,
     };
+    let by_little = |frame: &&&Frame| frame.pose.as_ref().is_some_and(|p| p.evidence.is_thin());
     let more_than_30 = |frame: &&Frame| frame.pose.as_ref().is_some_and(|p| p.more_than_30_inliers);
     Summary {
         images: frames.len(),
         localized: localized.len(),
+        by_little: localized.iter().filter(by_little).count(),
         more_than_30_inliers: frames.iter().filter(more_than_30).count(),
         right: input
             .lists_poses()
@@ -273,6 +277,12 @@ fn text(s: &Summary) -> String {
         "{} of {} localized ({share:.1} %), each right with a probability of {}; {} have more than 30 inliers",
         s.localized, s.images, s.min_probability, s.more_than_30_inliers
     );
+    if s.by_little > 0 {
+        text += &format!(
+            "\n{} of these rest on so little that a place outside the map which looks the same could have all of it: make sure that the map has the place",
+            s.by_little
+        );
+    }
     if !s.map_failures.is_empty() {
         text +=
             "\nThe map failed when it was made, so that places in it may be far from the truth:";
