@@ -124,6 +124,24 @@ pub enum Error {
         /// Number of descriptors.
         count: usize,
     },
+    /// A file is no codebook of VLAD vectors.
+    #[error("{path}: {problem}: make a codebook with `lsfb models codebook`", path = path.display())]
+    BadCodebook {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// Too few descriptors to train a codebook on.
+    #[error(
+        "{count} descriptors are too few for a codebook, which needs {needed}: give more images, or ask for fewer words"
+    )]
+    FewDescriptors {
+        /// Number of descriptors.
+        count: usize,
+        /// Fewest that do.
+        needed: usize,
+    },
     /// Weights of a network could not be read.
     #[error(transparent)]
     Network(#[from] lsfb_networks::Error),

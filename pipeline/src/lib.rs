@@ -32,6 +32,7 @@ mod solve;
 pub mod stored_clouds;
 pub mod surface;
 pub mod two_view;
+pub mod vlad;
 mod worst_sigma;
 
 pub use error::{Error, MapShortage};

@@ -158,7 +158,7 @@ fn an_option_takes_the_same_thing_everywhere() {
 }
 
 /// Options of numbers without a unit: counts, seeds, factors, ports.
-const WITHOUT_UNIT: [&str; 20] = [
+const WITHOUT_UNIT: [&str; 21] = [
     "threads",
     "seed",
     "fault-seed",
@@ -179,6 +179,7 @@ const WITHOUT_UNIT: [&str; 20] = [
     "homography-images",
     "pose-pairs",
     "at-once",
+    "words",
 ];
 /// Options of several numbers, each with a unit of its own, which their help gives.
 const MIXED_UNITS: [&str; 4] = ["april-grid", "checkerboard", "charuco", "datum"];

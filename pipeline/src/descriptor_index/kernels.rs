@@ -11,7 +11,7 @@ const LANES: usize = 64;
 
 /// Centroids as the search for the nearest wants them: [`LANES`] side by side, dimension by dimension.
 #[derive(Clone, Debug)]
-pub(super) struct CentroidBlocks {
+pub(crate) struct CentroidBlocks {
     dimensions: usize,
     count: usize,
     /// For each block its dimensions, one after the other.

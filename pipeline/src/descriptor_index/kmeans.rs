@@ -13,11 +13,11 @@ use super::kernels::CentroidBlocks;
 const GROUP: usize = 256;
 
 /// Whether a round of the training is to go on.
-pub(super) type GoOn<'a> = dyn Fn(usize) -> Result<(), Stopped> + Sync + 'a;
+pub(crate) type GoOn<'a> = dyn Fn(usize) -> Result<(), Stopped> + Sync + 'a;
 
 /// As many centroids as wanted, or as there are vectors, one after the other. `samples`, of `dimensions` each, are in random
 /// order: the first of them are where the search begins. `go_on` is asked before each group of samples, with the number of the round.
-pub(super) fn train(
+pub(crate) fn train(
     samples: &[f32],
     dimensions: usize,
     wanted: usize,
@@ -73,7 +73,7 @@ pub(super) fn nearest_of_all(
 
 /// `count` different numbers below `total` in random order; all of them where `count` is larger. Memory for `count` numbers,
 /// however many there are in all.
-pub(super) fn sample(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+pub(crate) fn sample(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     // Places of a shuffled list of all numbers that hold another number than their own.
     let mut moved: BTreeMap<usize, usize> = BTreeMap::new();
     (0..count.min(total))

@@ -25,7 +25,7 @@
 mod build;
 mod file;
 mod kernels;
-mod kmeans;
+pub(crate) mod kmeans;
 mod search;
 mod source;
 #[cfg(test)]
@@ -40,7 +40,8 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::features::DESCRIPTOR_LEN;
 pub(crate) use file::TABLES;
-use kernels::{CentroidBlocks, WORDS};
+pub(crate) use kernels::CentroidBlocks;
+use kernels::WORDS;
 pub use search::{Neighbour, SearchScratch};
 pub use source::{DescriptorFile, DescriptorSource};
 

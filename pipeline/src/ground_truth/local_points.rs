@@ -18,8 +18,8 @@ use crate::features::triangulation::{TriangulatedPoint, TriangulationFailure, Vi
 
 /// Features of one image, ready to be matched.
 pub(super) struct MatchableImage {
-    descriptors: DescriptorSet,
-    rays: Vec<Vector3<f64>>,
+    pub descriptors: DescriptorSet,
+    pub rays: Vec<Vector3<f64>>,
 }
 
 impl MatchableImage {
@@ -177,7 +177,7 @@ fn wanted_pairs(walk: &Walk, config: &GroundTruthConfig) -> Vec<(usize, usize)> 
 }
 
 /// Pose of a camera when it exposed its middle row.
-fn camera_pose(estimate: &Estimate, frame: usize, camera: usize) -> Se3 {
+pub(super) fn camera_pose(estimate: &Estimate, frame: usize, camera: usize) -> Se3 {
     let height = estimate.cameras[camera].camera().height;
     estimate.world_from_camera(frame, camera, 0.5 * (f64::from(height) - 1.0))
 }
@@ -226,7 +226,8 @@ fn locate_one(
     })
 }
 
-fn placed(
+/// Where a track is, with those of its sights that agree.
+pub(super) fn placed(
     estimate: &Estimate,
     track: &[LocalObservation],
     config: &GroundTruthConfig,

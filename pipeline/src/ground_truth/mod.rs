@@ -65,8 +65,9 @@ pub use report::{
 };
 pub use run::{ground_truth, ground_truth_in_stages, ground_truth_of};
 pub use without_map::{
-    Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, Sight, TrackedFrame,
-    TrackedWalk, motion_of_recording, motion_of_recording_in_stages, motion_without_map,
+    Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, RevisitConfig,
+    Revisits, Sight, TrackedFrame, TrackedWalk, WalkView, motion_of_recording,
+    motion_of_recording_in_stages, motion_without_map,
 };
 
 use crate::Error;

@@ -11,6 +11,7 @@ use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::residuals::MovingCamera;
 
 /// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
+#[derive(Clone)]
 pub(super) struct Walk {
     /// Cameras of the rig as its file has them, in their order.
     pub cameras: Vec<Arc<MovingCamera>>,

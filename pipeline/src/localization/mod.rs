@@ -28,6 +28,7 @@ mod refinement;
 mod sequence;
 mod shared_errors;
 mod upright;
+mod verified;
 mod voting;
 
 pub use crate::frames::images_of_instants;
@@ -49,3 +50,4 @@ pub use queries::{
 };
 pub use ransac::{PoseEstimate, RansacConfig, estimate_known_pose, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};
+pub(crate) use verified::{VerifiedPose, verified_pose};

@@ -14,14 +14,14 @@ const APART_M: f64 = 0.5;
 
 /// A loop by the numbers of its keyframes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Measured {
+pub(crate) struct Measured {
     pub earlier: usize,
     pub later: usize,
     pub loop_: MeasuredLoop,
 }
 
 /// Whether two loops are of neighbouring places, of different scans, and lead to one pose.
-pub(super) fn agree(a: &Measured, b: &Measured, keyframes: &[Keyframe]) -> bool {
+pub(crate) fn agree(a: &Measured, b: &Measured, keyframes: &[Keyframe]) -> bool {
     let path_m = |k: usize| keyframes[k].path_m;
     let apart_m = (path_m(a.later) - path_m(b.later)).abs();
     let is_near = apart_m <= NEAR_M && (path_m(a.earlier) - path_m(b.earlier)).abs() <= NEAR_M;

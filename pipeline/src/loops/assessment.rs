@@ -23,7 +23,7 @@ const MAX_OPEN_M: f64 = 10.0;
 /// What is held against the odometry, in standard deviations of one direction.
 const SIGMAS: f64 = 3.0;
 /// χ² of six numbers that one in a thousand exceeds.
-pub(super) const CHI_SQUARED: f64 = 22.5;
+pub(crate) const CHI_SQUARED: f64 = 22.5;
 /// Scans this far around the earlier keyframe make the map, metres.
 const SUBMAP_M: f64 = 6.0;
 /// Share of the points that must lie on what was seen before.

@@ -22,14 +22,14 @@ const COVARIANCES_AT_ONCE: usize = 60;
 
 /// Poses of the keyframes once loops are closed.
 #[derive(Clone, Debug)]
-pub(super) struct Closed {
+pub(crate) struct Closed {
     pub world_from_rig: Vec<Se3>,
     /// Relative to the first, in the tangent of each.
     pub covariances: Vec<Matrix6<f64>>,
 }
 
 /// Which loops fit all others and the odometry, where those that do not lose their weight.
-pub(super) fn fitting(
+pub(crate) fn fitting(
     keyframes: &[Keyframe],
     loops: &[Measured],
     progress: ProgressFn<'_>,
@@ -60,7 +60,7 @@ pub(super) fn fitting(
 }
 
 /// Closes all of these loops.
-pub(super) fn close(
+pub(crate) fn close(
     keyframes: &[Keyframe],
     loops: &[Measured],
     progress: ProgressFn<'_>,
@@ -84,7 +84,7 @@ pub(super) fn close(
 }
 
 /// How far two poses are from a loop, in its standard deviations, squared.
-pub(super) fn squared_sigmas(earlier: &Se3, later: &Se3, measured: &MeasuredLoop) -> f64 {
+pub(crate) fn squared_sigmas(earlier: &Se3, later: &Se3, measured: &MeasuredLoop) -> f64 {
     let found = earlier.inverse() * *later;
     let expected = &measured.earlier_from_later;
     let turn = so3::log(&(expected.rotation.inverse() * found.rotation));

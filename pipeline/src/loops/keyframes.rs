@@ -19,14 +19,14 @@ const SUBMAP_SPACING_M: f64 = 0.45;
 /// Points of a scan that is registered, at most.
 const QUERY_POINTS: usize = 2000;
 
-/// A scan between which and others loops are sought.
+/// A scan, or a frame of images, between which and others loops are sought.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Keyframe {
-    /// Which of the scans that found their place.
+pub(crate) struct Keyframe {
+    /// Which of the scans that found their place, or of the frames.
     pub scan: usize,
     pub time: Timestamp,
     pub world_from_rig: Se3,
-    /// Relative to the first scan, in the tangent of this pose.
+    /// Relative to the first of them, in the tangent of this pose.
     pub covariance: Matrix6<f64>,
     /// Way from the first scan, metres.
     pub path_m: f64,

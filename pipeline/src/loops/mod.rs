@@ -17,8 +17,13 @@ use lsfb_geometry::{Matrix6, Se3};
 use lsfb_types::Timestamp;
 use serde::{Deserialize, Serialize};
 
+pub(crate) use agreement::{Measured, agree};
+pub(crate) use assessment::CHI_SQUARED;
 pub use closing::{Closing, close_loops};
+pub(crate) use graph::{close, fitting, squared_sigmas};
+pub(crate) use keyframes::Keyframe;
 pub use search::find_loops;
+pub(crate) use ways::{Way, Ways};
 
 /// Two scans of one place, or what looks like it.
 #[derive(Clone, Debug, PartialEq)]

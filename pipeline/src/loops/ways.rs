@@ -21,7 +21,7 @@ const LOOP_M: f64 = 0.5;
 
 /// What is known of the pose of one keyframe on another.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Way {
+pub(crate) struct Way {
     /// Pose of the keyframe asked about, in the frame of this one.
     pub here_from_target: Se3,
     /// Covariance in the tangent of the keyframe asked about.
@@ -41,7 +41,7 @@ struct Edge {
 
 /// Keyframes and what is known between them.
 #[derive(Clone, Debug)]
-pub(super) struct Ways(Vec<Vec<Edge>>);
+pub(crate) struct Ways(Vec<Vec<Edge>>);
 
 /// What the odometry adds from a keyframe to the next, in the tangent of the next.
 pub(super) fn step_covariance(from: &Keyframe, to: &Keyframe, widened: f64) -> Matrix6<f64> {

@@ -70,5 +70,6 @@ pub fn read(path: &Path) -> TrackedWalk {
             gyro_bias_walk: 1.9393e-5,
             accel_bias_walk: 3.0e-3,
         },
+        views: Vec::new(),
     }
 }

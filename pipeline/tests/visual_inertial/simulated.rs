@@ -4,19 +4,25 @@
 use lsfb_geometry::{
     Camera, CameraTiming, ImuNoiseModel, Matrix3, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
 };
+use lsfb_pipeline::features::{Descriptor, Features, Keypoint};
 use lsfb_pipeline::ground_truth::{
-    MotionConfig, Sight, TrackedFrame, TrackedWalk, motion_without_map,
+    Motion, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
 };
 use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
-use rand::{RngExt as _, SeedableRng as _};
+use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::vimap::sample;
 
 const SECS: f64 = 7.0;
+/// Long enough to come back to what was seen before.
+const LONG_SECS: f64 = 24.0;
 const FRAME_SECS: f64 = 0.1;
 const SAMPLE_SECS: f64 = 0.005;
 const POINTS: usize = 260;
+/// Error of a feature of a kept image, pixels, and how many frames these are apart.
+const VIEW_PX: f64 = 0.3;
+const VIEW_FRAMES: usize = 5;
 /// Added to a track's error at each frame, and its error at the first, pixels.
 const STEP_PX: f64 = 0.08;
 const FIRST_PX: f64 = 0.1;
@@ -53,9 +59,9 @@ fn three(random: &mut ChaCha8Rng, sigma: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| sigma * normal(random))
 }
 
-fn samples(phase: f64, random: &mut ChaCha8Rng) -> Vec<Stamped<ImuSample>> {
+fn samples(secs: f64, phase: f64, random: &mut ChaCha8Rng) -> Vec<Stamped<ImuSample>> {
     let (gyro_bias, accel_bias) = (three(random, 5e-3), three(random, 0.05));
-    let count = ((SECS + 0.2) / SAMPLE_SECS) as i64;
+    let count = ((secs + 0.2) / SAMPLE_SECS) as i64;
     let step = 1e-3;
     let measured = |k: i64, random: &mut ChaCha8Rng| {
         let secs = k as f64 * SAMPLE_SECS - 0.1;
@@ -87,10 +93,10 @@ fn camera() -> RigCamera {
 }
 
 /// A walk of a seed, with the truth of each frame.
-fn walk(seed: u64) -> (TrackedWalk, Vec<Se3>) {
+fn walk(seed: u64, secs: f64) -> (TrackedWalk, Vec<Se3>) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let phase = random.random_range(0.0..std::f64::consts::TAU);
-    let imu = samples(phase, &mut random);
+    let imu = samples(secs, phase, &mut random);
     let camera = camera();
     // Walls of a room around.
     let points: Vec<Vector3<f64>> = (0..POINTS)
@@ -101,14 +107,19 @@ fn walk(seed: u64) -> (TrackedWalk, Vec<Se3>) {
             Vector3::new(away * around.cos(), away * around.sin(), height)
         })
         .collect();
+    let looks: Vec<Descriptor> = (0..POINTS)
+        .map(|_| std::array::from_fn(|_| (random.next_u32() % 90) as u8))
+        .collect();
+    let mut views = Vec::new();
     let mut followed: Vec<Option<(u32, Vector2<f64>)>> = vec![None; points.len()];
     let (mut next, mut frames, mut poses) = (0, Vec::new(), Vec::new());
-    for k in 0..(SECS / FRAME_SECS) as usize {
+    for k in 0..(secs / FRAME_SECS) as usize {
         let secs = k as f64 * FRAME_SECS;
         let pose = truth(secs, phase);
         let camera_from_world = (pose * camera.rig_from_camera).inverse();
         let mut sights = Vec::new();
-        for (point, track) in points.iter().zip(&mut followed) {
+        let mut features = Features::default();
+        for ((point, look), track) in points.iter().zip(&looks).zip(&mut followed) {
             let seen = camera.camera.project(&(camera_from_world * *point));
             let Some(pixel) = seen.filter(|pixel| camera.camera.contains(pixel, 0.0)) else {
                 *track = None;
@@ -128,6 +139,23 @@ fn walk(seed: u64) -> (TrackedWalk, Vec<Se3>) {
                 camera: 0,
                 pixel: pixel + off,
             });
+            // What a detector finds anew in each image has an error of its own.
+            let found = pixel + error(VIEW_PX);
+            features.keypoints.push(Keypoint {
+                pixel: [found.x as f32, found.y as f32],
+                scale_px: 2.0,
+                angle_rad: 0.0,
+                response: 0.1,
+            });
+            let noisy = look.map(|v| v + (random.next_u32() % 9) as u8);
+            features.descriptors.push(noisy);
+        }
+        if k % VIEW_FRAMES == 0 {
+            views.push(WalkView {
+                frame: k,
+                camera: 0,
+                features,
+            });
         }
         frames.push(TrackedFrame {
             time: Timestamp::from_secs_f64(10.0 + secs),
@@ -140,8 +168,83 @@ fn walk(seed: u64) -> (TrackedWalk, Vec<Se3>) {
         frames,
         imu,
         noise: NOISE,
+        views,
     };
     (walk, poses)
+}
+
+fn motion(walk: TrackedWalk) -> Motion {
+    motion_without_map(&walk, None, &MotionConfig::default(), &no_progress).expect("moves")
+}
+
+/// Root mean square distance from the truth relative to the first frame, metres, and how many of the poses are within 95 %.
+fn errors(found: &Motion, poses: &[Se3]) -> (f64, f64) {
+    let all = found.trajectory.poses();
+    let truth_from_world = poses[found.first] * all[found.first].world_from_rig.inverse();
+    let (mut square_m2, mut within, mut count) = (0.0, 0u32, 0u32);
+    for (k, pose) in all.iter().enumerate().filter(|(k, _)| *k != found.first) {
+        let moved = truth_from_world * pose.world_from_rig;
+        square_m2 += (moved.translation - poses[k].translation).norm_squared();
+        let error = moved.local(&poses[k]);
+        let whole = found.covariances[k].cholesky().expect("positive definite");
+        within += u32::from(error.dot(&whole.solve(&error)) <= CHI_SQUARED_95[0]);
+        count += 1;
+    }
+    let count = f64::from(count);
+    ((square_m2 / count).sqrt(), f64::from(within) / count)
+}
+
+/// Of a walk that comes back to what it saw, less drift is left where that is recognised; the covariances know it.
+#[test]
+fn what_is_seen_again_takes_drift_out() {
+    let (mut ratios, mut shares) = (Vec::new(), Vec::new());
+    for seed in 0..3 {
+        let (walk, poses) = walk(seed, LONG_SECS);
+        let alone = motion(TrackedWalk {
+            views: Vec::new(),
+            ..walk.clone()
+        });
+        let found = motion(walk);
+        let (before_m, _) = errors(&alone, &poses);
+        let (after_m, within) = errors(&found, &poses);
+        println!(
+            "seed {seed}: {:.1} and {:.1} mm, {within:.2} within 95 %, {:?}",
+            before_m * 1e3,
+            after_m * 1e3,
+            found.revisits
+        );
+        assert!(found.revisits.closed >= 3 && found.revisits.fit(), "{seed}");
+        ratios.push(after_m / before_m);
+        shares.push(within);
+    }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    assert!(mean(&ratios) < 0.7, "{ratios:?}");
+    assert!(mean(&shares) > 0.9, "{shares:?}");
+}
+
+/// Images of the last four seconds show what was seen elsewhere, to the pixel, as in rooms that are the same.
+#[test]
+fn a_place_that_looks_like_another_closes_nothing() {
+    for seed in 0..3 {
+        let (mut walk, poses) = walk(seed, LONG_SECS);
+        let first = walk.views.len() - 8;
+        for k in first..walk.views.len() {
+            let here = poses[walk.views[k].frame];
+            let is_elsewhere = |other: &usize| {
+                let there = poses[walk.views[*other].frame];
+                (there.translation - here.translation).norm() > 1.0
+            };
+            let elsewhere = (0..first).find(is_elsewhere).expect("it moves");
+            walk.views[k].features = walk.views[elsewhere].features.clone();
+        }
+        let last = walk.views.split_off(first);
+        let honest = motion(walk.clone()).revisits;
+        walk.views.extend(last);
+        let deceived = motion(walk).revisits;
+        println!("seed {seed}: {honest:?}, with them {deceived:?}");
+        assert_eq!(deceived.recognised, honest.recognised, "{seed}");
+        assert_eq!(deceived.closed, honest.closed, "{seed}");
+    }
 }
 
 /// 95 % of squared norms of six and of three standard normal numbers are below these.
@@ -152,9 +255,11 @@ const CHI_SQUARED_95: [f64; 2] = [12.591_587, 7.814_728];
 fn covariances_are_honest_though_corners_drift() {
     let (mut within, mut within_of_position, mut count, mut mean) = (0, 0, 0, 0.0);
     for seed in 0..6 {
-        let (walk, poses) = walk(seed);
-        let found =
-            motion_without_map(&walk, None, &MotionConfig::default(), &no_progress).expect("moves");
+        let (walk, poses) = walk(seed, SECS);
+        let found = motion(TrackedWalk {
+            views: Vec::new(),
+            ..walk
+        });
         let all = found.trajectory.poses();
         assert!(found.covariances[found.first].iter().all(|v| *v == 0.0));
         let truth_from_world = poses[found.first] * all[found.first].world_from_rig.inverse();

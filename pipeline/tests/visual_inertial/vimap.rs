@@ -64,6 +64,7 @@ impl VisualInertialMap {
                 frames,
                 imu,
                 noise,
+                views: Vec::new(),
             },
             states,
         }

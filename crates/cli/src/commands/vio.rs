@@ -21,7 +21,10 @@ use crate::standing;
 ///
 /// Features are followed through the images of one camera or several; gravity, velocity and scale follow from a moment at rest or from the
 /// motion itself; then one adjustment over the whole walk. Poses are those of the IMU, ten a second, in a level world whose origin is the
-/// first of them. What is seen again after it was out of view is not recognised: drift grows with the way.
+/// first of them.
+///
+/// Where the walk comes back to a place, that is recognised by what the images show, and the drift in between is taken out (finding
+/// revisits); where it never does, drift grows with the way. Places that look the same are told apart by how far the walk can have drifted.
 ///
 /// A walk is a recording, or a folder or file of another program that `lsfb import` reads, such as EuRoC's and TUM-VI's. It needs a rig
 /// with the cameras' places on the IMU and its noise: the recording's own, or --rig. ROS bags are not read.

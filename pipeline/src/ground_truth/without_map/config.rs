@@ -1,6 +1,7 @@
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
+use super::RevisitConfig;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::config::BENDING_SIGMAS;
 
@@ -26,6 +27,8 @@ pub struct MotionConfig {
     pub doubtful_contradicted_share: f64,
     /// Standard deviations that a camera may be from what the rig file says of it before the motion counts as bent by it.
     pub max_camera_off_sigmas: f64,
+    /// Places that the walk comes back to.
+    pub revisits: RevisitConfig,
     /// The adjustment; what it says of a map is not used. Nothing but its `inertial` holds the walk's scale.
     pub adjustment: GroundTruthConfig,
 }
@@ -41,6 +44,7 @@ impl Default for MotionConfig {
             max_position_sigma_m: 1.0,
             doubtful_contradicted_share: 0.2,
             max_camera_off_sigmas: BENDING_SIGMAS,
+            revisits: RevisitConfig::default(),
             adjustment: GroundTruthConfig::default(),
         }
     }
@@ -56,6 +60,7 @@ lsfb_types::bounds! {
         max_position_sigma_m: number(Bounds::POSITIVE),
         doubtful_contradicted_share: number(Bounds::Within(0.0, 1.0)),
         max_camera_off_sigmas: number(Bounds::POSITIVE),
+        revisits: section,
         adjustment: section,
     }
 }

@@ -64,6 +64,15 @@ impl<'a> Extension<'a> {
         }
     }
 
+    /// The same frames with other tracks and states.
+    pub fn closed(self, tracks: &'a Tracks, states: &[FrameState]) -> Self {
+        Self {
+            tracks,
+            states: states.to_vec(),
+            ..self
+        }
+    }
+
     /// With the device at rest in all states so far.
     pub fn at_rest(self) -> Self {
         Self {
@@ -99,13 +108,7 @@ impl<'a> Extension<'a> {
         config: &GroundTruthConfig,
         progress: ProgressFn<'_>,
     ) -> Result<(), Error> {
-        let on_the_way = GroundTruthConfig {
-            solve: SolveConfig {
-                cost_tolerance: ON_THE_WAY,
-                ..config.solve
-            },
-            ..config.clone()
-        };
+        let on_the_way = on_the_way(config);
         let total = self.walk.frames.len() as u64;
         // Solves on the way are many and short: what counts is how many frames are known.
         let known = |done: usize| {
@@ -132,6 +135,19 @@ impl<'a> Extension<'a> {
             self.settle_all(&on_the_way, &|_| known(done))?;
         }
         Ok(())
+    }
+
+    /// All frames, settled as far as on the way.
+    pub fn roughly(
+        &mut self,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Settled, Error> {
+        Ok(Settled {
+            last: self.settle_all(&on_the_way(config), progress)?,
+            anchor: self.anchor(),
+            config: config.clone(),
+        })
     }
 
     /// Solves all frames until no observation comes or goes any more.
@@ -308,6 +324,16 @@ impl<'a> Extension<'a> {
             noise_factors: Default::default(),
             point_covariances_m2: self.walk.point_covariances_m2.clone(),
         }
+    }
+}
+
+fn on_the_way(config: &GroundTruthConfig) -> GroundTruthConfig {
+    GroundTruthConfig {
+        solve: SolveConfig {
+            cost_tolerance: ON_THE_WAY,
+            ..config.solve
+        },
+        ..config.clone()
     }
 }
 

@@ -3,8 +3,11 @@
 use lsfb_geometry::{ImuNoiseModel, RigCamera, UnitQuaternion, Vector2};
 use lsfb_perception::image::{Follower, Pyramid};
 use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
+use rayon::prelude::*;
 
-use super::{Sight, TrackedFrame, TrackedWalk};
+use super::{RevisitConfig, Sight, TrackedFrame, TrackedWalk, WalkView};
+use crate::Error;
+use crate::features::SiftDetector;
 use crate::preintegration::{ImuBias, PreintegratedImu};
 
 /// Cameras number their tracks apart from each other.
@@ -19,6 +22,9 @@ pub struct FrontEnd {
     followers: Vec<Follower>,
     last: Option<Timestamp>,
     frames: Vec<TrackedFrame>,
+    /// How far apart images are kept to be recognised, seconds, and what detects their features.
+    detector: Option<(f64, SiftDetector)>,
+    views: Vec<WalkView>,
 }
 
 impl FrontEnd {
@@ -37,7 +43,20 @@ impl FrontEnd {
             keyframe_secs,
             last: None,
             frames: Vec::new(),
+            detector: None,
+            views: Vec::new(),
         }
+    }
+
+    /// Keeps features of images, by which places are recognised again. Refuses settings without meaning, and a codebook that is none
+    /// before anything is done that it is needed for.
+    pub fn keeping_views(self, config: &RevisitConfig) -> Result<Self, Error> {
+        config.read_codebook()?;
+        let detector = match config.view_secs > 0.0 {
+            true => Some((config.view_secs, SiftDetector::new(&config.sift)?)),
+            false => None,
+        };
+        Ok(Self { detector, ..self })
     }
 
     /// The images of one instant, later than the last one, in the order of the cameras; `None` where one is missing. Images of another
@@ -86,7 +105,30 @@ impl FrontEnd {
         // Half a millisecond early is not early.
         if since.is_none_or(|secs| secs >= self.keyframe_secs - 5e-4) {
             self.frames.push(TrackedFrame { time, sights });
+            self.keep_views(time, images);
         }
+    }
+
+    /// Keeps what the images of the last frame show, where it is time to.
+    fn keep_views(&mut self, time: Timestamp, images: &[Option<&Image>]) {
+        let Some((secs, detector)) = &self.detector else {
+            return;
+        };
+        let last = self.views.last().map(|v| self.frames[v.frame].time);
+        if last.is_some_and(|last| time.secs_since(last) < secs - 5e-4) {
+            return;
+        }
+        let frame = self.frames.len() - 1;
+        let kept = images.par_iter().enumerate().filter_map(|(camera, image)| {
+            let features = detector.clone().detect((*image)?);
+            (!features.is_empty()).then_some(WalkView {
+                frame,
+                camera,
+                features,
+            })
+        });
+        let kept: Vec<WalkView> = kept.collect();
+        self.views.extend(kept);
     }
 
     /// The samples that it was given.
@@ -101,6 +143,7 @@ impl FrontEnd {
             frames: self.frames,
             imu: self.imu,
             noise: self.noise,
+            views: self.views,
         }
     }
 

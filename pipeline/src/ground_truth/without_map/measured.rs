@@ -61,6 +61,10 @@ pub(super) fn longest_measured(
         Span::new(from, to, LeftOutReason::NotMeasured)
     };
     let left_out = rests.map(span).collect();
+    walk.views.retain(|v| part.contains(&v.frame));
+    for view in &mut walk.views {
+        view.frame -= part.start;
+    }
     walk.frames = walk.frames.drain(part).collect();
     Ok(Measured {
         walk,

@@ -14,6 +14,7 @@ mod measured;
 mod moving;
 mod recorded;
 mod report;
+mod revisits;
 mod sights;
 mod standing;
 mod turns;
@@ -33,12 +34,14 @@ use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
 use blind::blind_stretches;
 pub use config::MotionConfig;
-use extension::Extension;
+use extension::{Extension, Settled};
 pub use front_end::FrontEnd;
 pub use recorded::{RecordedMotion, motion_of_recording, motion_of_recording_in_stages};
 pub use report::MotionReport;
+use revisits::{Before, Closed, close};
+pub use revisits::{RevisitConfig, Revisits, WalkView};
 use sights::Tracks;
-use uncertainty::uncertainty;
+use uncertainty::{Uncertainty, uncertainty};
 
 /// What a front end followed, and what the IMU felt.
 #[derive(Clone, Debug)]
@@ -51,6 +54,8 @@ pub struct TrackedWalk {
     pub imu: Vec<Stamped<ImuSample>>,
     /// Noise of the IMU.
     pub noise: ImuNoiseModel,
+    /// Images by which places are recognised again, in order of frames; none where that is not asked for.
+    pub views: Vec<WalkView>,
 }
 
 /// One instant.
@@ -103,6 +108,8 @@ pub struct Motion {
     pub sights_in_use: Vec<usize>,
     /// How it began.
     pub beginning: Beginning,
+    /// What was recognised again.
+    pub revisits: Revisits,
     /// What the walk makes of the IMU.
     pub imu: ImuRefinement,
     /// Points that were placed.
@@ -157,7 +164,19 @@ pub fn motion_without_map(
         _ => begin(&inner, &tracks, config, progress)?,
     };
     extension.extend(config, progress)?;
+    let closed = match walk.views.is_empty() {
+        true => Err(Revisits::default()),
+        false => {
+            let roughly = extension.roughly(config, progress)?;
+            look_again(walk, &inner, &roughly, settings, progress)?
+        }
+    };
+    let joined = tracks.with(closed.as_ref().map_or(&[], |c| &c.tracks));
+    if let Ok(closed) = &closed {
+        extension = extension.closed(&joined, &closed.states);
+    }
     let settled = extension.finish(config, progress)?;
+    let revisits = closed.map_or_else(|none| none, |closed| closed.revisits(&settled));
     let solved = &settled.last;
     let frames = 0..walk.frames.len();
     let contradicted_share = tracks.contradicted_share(&solved.estimate, frames, config);
@@ -168,18 +187,10 @@ pub fn motion_without_map(
         });
     }
     let sights_in_use = in_use(&solved.points, walk.frames.len());
-    let sees_enough = |sights: &usize| *sights >= settings.min_sights;
-    let first = sights_in_use.iter().position(sees_enough).unwrap_or(0);
-    let blind = blind_stretches(walk, &sights_in_use, settings);
-    let blind = blind.into_iter().flat_map(|[a, b]| a..b);
+    let first = first_seeing(&sights_in_use, settings);
     let imu = ImuRefinement::of(&inner, solved, config)?;
-    let mut less_sure = inner;
-    less_sure.loosen_imu(imu.noise_factor());
-    for k in blind {
-        let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
-        *factor = factor.max(settings.blind_imu_noise_factor);
-    }
-    let uncertainty = uncertainty(&less_sure, &settled, first, progress)?;
+    let all: Vec<usize> = (0..walk.frames.len()).collect();
+    let uncertainty = uncertainty_of(walk, &inner, &settled, &all, settings, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
     let states = &solved.estimate.states;
@@ -199,6 +210,7 @@ pub fn motion_without_map(
         biases: states.iter().map(|s| s.bias).collect(),
         sights_in_use,
         beginning,
+        revisits,
         imu,
         points: solved.points.iter().filter(|p| p.is_determined()).count(),
         errors: local_errors(&solved.estimate, &solved.points),
@@ -206,6 +218,56 @@ pub fn motion_without_map(
         contradicted_share,
         cameras: refinements(numbers, &solved.estimate, &uncertainty.corrections, config),
     })
+}
+
+/// The first frame that sees enough.
+fn first_seeing(sights_in_use: &[usize], config: &MotionConfig) -> usize {
+    let sees_enough = |sights: &usize| *sights >= config.min_sights;
+    sights_in_use.iter().position(sees_enough).unwrap_or(0)
+}
+
+/// Covariances of some frames relative to the first that sees enough, with the IMU as it showed itself.
+fn uncertainty_of(
+    walk: &TrackedWalk,
+    inner: &Walk,
+    settled: &Settled,
+    frames: &[usize],
+    config: &MotionConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Uncertainty, Error> {
+    let imu = ImuRefinement::of(inner, &settled.last, &config.adjustment)?;
+    let sights_in_use = in_use(&settled.last.points, walk.frames.len());
+    let blind = blind_stretches(walk, &sights_in_use, config);
+    let mut less_sure = inner.clone();
+    less_sure.loosen_imu(imu.noise_factor());
+    for k in blind.into_iter().flat_map(|[a, b]| a..b) {
+        let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
+        *factor = factor.max(config.blind_imu_noise_factor);
+    }
+    let first = first_seeing(&sights_in_use, config);
+    uncertainty(&less_sure, settled, first, frames, progress)
+}
+
+/// Looks for places that the walk came back to.
+fn look_again(
+    walk: &TrackedWalk,
+    inner: &Walk,
+    settled: &Settled,
+    config: &MotionConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Result<Closed, Revisits>, Error> {
+    let mut frames: Vec<usize> = walk.views.iter().map(|v| v.frame).collect();
+    frames.dedup();
+    let known = uncertainty_of(walk, inner, settled, &frames, config, progress)?;
+    let before = Before {
+        walk: inner,
+        tracked: walk,
+        settled,
+        covariances: &known.poses,
+        config: &config.revisits,
+        adjustment: &config.adjustment,
+    };
+    close(&before, progress)
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {

@@ -7,7 +7,9 @@ use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 use super::measured::{Measured, longest_measured};
 use super::report::{LeftOut, MotionReport, Read, left_out};
 use super::turns::check_turns;
-use super::{FrontEnd, MotionConfig, Sight, TrackedFrame, TrackedWalk, motion_without_map};
+use super::{
+    FrontEnd, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
+};
 use crate::Error;
 use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
@@ -146,17 +148,20 @@ fn follow(
     };
     let cameras: Vec<_> = rig.cameras.values().cloned().collect();
     let noise = noise.clone();
-    let (frames, read) = stages.once("followed", || {
+    let (frames, views, read) = stages.once("followed", || {
         let (cameras, imu) = (cameras.clone(), imu.clone());
-        let mut front_end = FrontEnd::new(cameras, imu, noise.clone(), config.frame_secs);
+        let front_end = FrontEnd::new(cameras, imu, noise.clone(), config.frame_secs);
+        let mut front_end = front_end.keeping_views(&config.revisits)?;
         follow_images(recording, rig, &names, &mut front_end, &mut read, progress)?;
-        Ok((front_end.finish().frames, read))
+        let walk = front_end.finish();
+        Ok((walk.frames, walk.views, read))
     })?;
     let walk = TrackedWalk {
         cameras,
         frames,
         imu,
         noise,
+        views,
     };
     Ok((walk, read))
 }
@@ -164,6 +169,7 @@ fn follow(
 keep_fields! {
     Sight { track, camera, pixel }
     TrackedFrame { time, sights }
+    WalkView { frame, camera, features }
     Read { images, damaged_images, damaged_samples, repeated_stamps, frozen_images, frozen_secs }
 }
 

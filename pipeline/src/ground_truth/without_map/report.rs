@@ -5,7 +5,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::blind::blind_stretches;
-use super::{Beginning, Motion, MotionConfig, TrackedWalk};
+use super::{Beginning, Motion, MotionConfig, Revisits, TrackedWalk};
 use crate::ground_truth::config::UNLIKELY_SIGMAS;
 use crate::ground_truth::imu_refinement::ImuRefinement;
 use crate::ground_truth::report::{
@@ -58,6 +58,8 @@ pub struct MotionReport {
     pub accel_bias_m_s2: [f64; 3],
     /// Largest of their components in the standard deviations that the settings give a first bias.
     pub bias_sigmas: f64,
+    /// Places that the walk came back to.
+    pub revisits: Revisits,
     /// What the walk makes of the IMU.
     #[serde(flatten)]
     pub imu: ImuRefinement,
@@ -157,6 +159,7 @@ impl MotionReport {
             gyro_bias_rad_s: bias.gyro_rad_s.into(),
             accel_bias_m_s2: bias.accel_m_s2.into(),
             bias_sigmas: gyro.max(accel),
+            revisits: motion.revisits,
             imu: motion.imu.clone(),
             path_length_m: trajectory.path_length_m(),
             largest_position_sigma_m: sigmas.fold(0.0, f64::max),
@@ -203,6 +206,7 @@ impl MotionReport {
                 .limit(Limit::AtMost(UNLIKELY_SIGMAS))
                 .remedy("check the IMU's units, scale and axes"),
         ];
+        findings.extend(self.revisits.finding());
         findings.extend(self.imu.findings());
         findings.extend(self.left_out_findings());
         findings.extend(self.cameras.iter().map(|camera| self.of_camera(camera)));

@@ -16,6 +16,8 @@ use crate::ground_truth::walk::{LocalObservation, LocalPoint};
 pub(super) struct Tracks {
     /// In order of frame and camera.
     all: Vec<Vec<LocalObservation>>,
+    /// What several visits of a place saw: each is a point, however short it is.
+    joined: Vec<Vec<LocalObservation>>,
 }
 
 impl Tracks {
@@ -39,20 +41,23 @@ impl Tracks {
             }
         }
         let all = by_number.into_values().filter(|sights| sights.len() >= 2);
-        Self { all: all.collect() }
+        Self {
+            all: all.collect(),
+            joined: Vec::new(),
+        }
+    }
+
+    /// With what several visits of a place saw besides.
+    pub fn with(&self, joined: &[Vec<LocalObservation>]) -> Self {
+        Self {
+            all: self.all.clone(),
+            joined: joined.to_vec(),
+        }
     }
 
     /// The parts of the tracks within some frames; frames count from the first of them.
     pub fn within(&self, frames: &Range<usize>) -> Vec<Vec<LocalObservation>> {
-        let parts = self.all.iter().map(|track| {
-            let sights = track.iter().filter(|seen| frames.contains(&seen.frame));
-            let counted = sights.map(|seen| LocalObservation {
-                frame: seen.frame - frames.start,
-                ..*seen
-            });
-            counted.collect::<Vec<_>>()
-        });
-        parts.filter(|part| part.len() >= 2).collect()
+        parts(&self.all, frames)
     }
 
     /// Of those parts the longest, until each image has as many as wanted.
@@ -87,7 +92,8 @@ impl Tracks {
         frames: Range<usize>,
         config: &GroundTruthConfig,
     ) -> Vec<LocalPoint> {
-        let tracks = self.longest_within(&frames, config.local_points_per_image);
+        let mut tracks = self.longest_within(&frames, config.local_points_per_image);
+        tracks.extend(parts(&self.joined, &frames));
         locate_all(estimate, &tracks, config)
     }
 
@@ -115,4 +121,17 @@ impl Tracks {
             .filter_map(|track| Some([at(track, first)?, at(track, second)?]))
             .collect()
     }
+}
+
+/// The parts of some tracks within some frames; frames count from the first of them.
+fn parts(tracks: &[Vec<LocalObservation>], frames: &Range<usize>) -> Vec<Vec<LocalObservation>> {
+    let parts = tracks.iter().map(|track| {
+        let sights = track.iter().filter(|seen| frames.contains(&seen.frame));
+        let counted = sights.map(|seen| LocalObservation {
+            frame: seen.frame - frames.start,
+            ..*seen
+        });
+        counted.collect::<Vec<_>>()
+    });
+    parts.filter(|part| part.len() >= 2).collect()
 }

@@ -40,17 +40,18 @@ const CORRECTIONS: usize = 9;
 
 /// How far what was found may be off.
 pub(super) struct Uncertainty {
-    /// Of each pose relative to the one that was chosen, in its tangent `[rotation, translation]` on the right, rad² and m².
+    /// Of each pose that was asked for relative to the one that was chosen, in its tangent `[rotation, translation]` on the right, rad² and m².
     pub poses: Vec<Matrix6<f64>>,
     /// Standard deviations of each camera's correction.
     pub corrections: Vec<CameraCorrection>,
 }
 
-/// Covariances of the last solve relative to the pose of a frame, with the pixels as good as it shows.
+/// Covariances of some frames' poses after the last solve, relative to the pose of a frame, with the pixels as good as it shows.
 pub(super) fn uncertainty(
     walk: &Walk,
     settled: &Settled,
     reference: usize,
+    frames: &[usize],
     progress: ProgressFn<'_>,
 ) -> Result<Uncertainty, Error> {
     let (estimate, points) = (&settled.last.estimate, &settled.last.points);
@@ -80,7 +81,8 @@ pub(super) fn uncertainty(
     let cameras: Vec<BlockId> = adjustment.corrections.iter().map(|c| c.id()).collect();
     let known = poses.get(reference..=reference).unwrap_or_default();
     let with_reference = |few: &[BlockId]| [known, few].concat();
-    let mut groups: Vec<Vec<BlockId>> = poses.chunks(AT_ONCE).map(with_reference).collect();
+    let wanted: Vec<BlockId> = frames.iter().map(|k| poses[*k]).collect();
+    let mut groups: Vec<Vec<BlockId>> = wanted.chunks(AT_ONCE).map(with_reference).collect();
     groups.push(cameras);
     let total = groups.len() as u64;
     let mut found = covariance_of_groups(&adjustment.problem, &groups, |done| {
@@ -101,16 +103,17 @@ pub(super) fn uncertainty(
         other => other,
     })?;
     let of_cameras = found.pop();
-    let mut relative = Vec::with_capacity(poses.len());
+    let mut relative = Vec::with_capacity(frames.len());
     for joint in found.iter().map(Covariance::joint) {
         let block = |row: usize, column: usize| joint.fixed_view::<6, 6>(6 * row, 6 * column);
         for row in 1..joint.nrows() / 6 {
-            if relative.len() == reference {
+            let frame = frames[relative.len()];
+            if frame == reference {
                 relative.push(Matrix6::zeros());
                 continue;
             }
             // An error of the reference moves the pose relative to it by −Ad(T⁻¹ T₀).
-            let to_reference = estimate.pose(relative.len()).inverse() * *estimate.pose(reference);
+            let to_reference = estimate.pose(frame).inverse() * *estimate.pose(reference);
             let moved = to_reference.adjoint();
             let shared = block(row, 0) * moved.transpose();
             let covariance = block(row, row) + moved * block(0, 0) * moved.transpose()

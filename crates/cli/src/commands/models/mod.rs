@@ -1,5 +1,6 @@
 //! `lsfb models`: weights of learned features.
 
+mod codebook;
 mod folder;
 
 use std::fmt::Write as _;
@@ -10,6 +11,7 @@ use serde::Serialize;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
+use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
 use folder::{file_name, files, stem};
 
@@ -33,6 +35,7 @@ enum Tool {
     List(ListArguments),
     Add(AddArguments),
     Check(CheckArguments),
+    Codebook(CodebookArguments),
 }
 
 /// List the networks that are known: licence, origin, whether their weights were added.
@@ -87,6 +90,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Tool::List(a) => list(a, context),
         Tool::Add(a) => add(a, context),
         Tool::Check(a) => check(a, context),
+        Tool::Codebook(a) => codebook::codebook(a, context),
     }
 }
 

@@ -1,0 +1,312 @@
+//! Places that a walk without a map comes back to: what drifted in between is taken out.
+//!
+//! Some images are kept with their features ([`WalkView`]). Those of one place are proposed by how alike they are ([`Codebook`]); the features
+//! of the later are paired with points that the images around the earlier saw, and a pose by P3P in RANSAC must have more of the pairs than
+//! chance gives, and agree with what is known of the drift. Two loops must lead to one pose, and all of them fit one graph of the
+//! walk. That graph bends the walk, and the pairs join what both visits saw into points of the adjustment, which then is
+//! solved as a whole. A false loop is worse than none; `loops` says the same of scans, and judges by the same code.
+
+mod placed_views;
+mod search;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use lsfb_geometry::{Matrix6, StampedPose};
+use lsfb_types::{Bounds, Finding, Limit, ProgressFn, Verdict};
+use serde::{Deserialize, Serialize};
+
+use super::TrackedWalk;
+use super::extension::Settled;
+use crate::Error;
+use crate::bending::bent;
+use crate::features::tracks::{ImagePair, Track, TrackedKeypoint, build_tracks};
+use crate::features::{Features, SiftConfig};
+use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
+use crate::loops::{self, Keyframe, Measured};
+use crate::preintegration::NavState;
+use crate::vlad::Codebook;
+use placed_views::{PlacedViews, sight};
+use search::{Found, search};
+
+/// An image of a walk by which its place can be recognised again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WalkView {
+    /// Number of the frame.
+    pub frame: usize,
+    /// Index of the camera.
+    pub camera: usize,
+    /// What it shows.
+    pub features: Features,
+}
+
+/// How places are recognised again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RevisitConfig {
+    /// Images at least so far apart are kept to be recognised, seconds; 0 for none.
+    pub view_secs: f64,
+    /// Images less than this apart are no two visits, seconds.
+    pub least_secs: f64,
+    /// Earlier images that are looked at for each, the most alike ones.
+    pub candidates: usize,
+    /// Loops less than this apart are one, seconds, of which the one with most pairs is closed: more of them cost more than they tell.
+    pub loop_secs: f64,
+    /// Where the walk may have drifted by more than this (three standard deviations) no likeness is proof, metres: what is built alike, bays,
+    /// doors and floors, is farther apart.
+    pub max_open_m: f64,
+    /// Fewest pairs that agree with the pose of one visit on the other.
+    pub min_inliers: usize,
+    /// Decimal logarithm of how many poses with as many pairs may be expected of chance.
+    pub max_log10_false_alarms: f64,
+    /// The codebook by which images are compared, instead of the one built in.
+    pub codebook: Option<PathBuf>,
+    /// The features.
+    pub sift: SiftConfig,
+}
+
+impl Default for RevisitConfig {
+    fn default() -> Self {
+        Self {
+            view_secs: 0.5,
+            least_secs: 5.0,
+            candidates: 4,
+            loop_secs: 2.0,
+            max_open_m: 2.5,
+            min_inliers: 12,
+            max_log10_false_alarms: -6.0,
+            codebook: None,
+            sift: SiftConfig {
+                max_features: 500,
+                ..SiftConfig::default()
+            },
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    RevisitConfig {
+        view_secs: number(Bounds::NOT_NEGATIVE),
+        least_secs: number(Bounds::POSITIVE),
+        candidates: any,
+        loop_secs: number(Bounds::NOT_NEGATIVE),
+        max_open_m: number(Bounds::POSITIVE),
+        min_inliers: any,
+        max_log10_false_alarms: any,
+        codebook: any,
+        sift: section,
+    }
+}
+
+impl RevisitConfig {
+    /// The codebook that is named, else the one built in.
+    pub(super) fn read_codebook(&self) -> Result<Codebook, Error> {
+        match &self.codebook {
+            Some(path) => Codebook::read(path),
+            None => Ok(Codebook::built_in()),
+        }
+    }
+}
+
+/// What became of the places that looked alike.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Revisits {
+    /// Moments of the walk at which images were kept.
+    pub places: u64,
+    /// Of these, those whose images show what was seen before, by more than chance.
+    pub recognised: u64,
+    /// Loops that are closed: recognised, confirmed by another, in agreement with all of them, and the best of those close by.
+    pub closed: u64,
+    /// How far a pose was moved by closing them at most, metres.
+    pub moved_m: f64,
+    /// How far a closed loop is from what its images say at most in the end, in standard deviations (a norm over six numbers).
+    pub worst_sigmas: f64,
+}
+
+impl Revisits {
+    /// Whether what is closed fits.
+    pub fn fit(&self) -> bool {
+        self.worst_sigmas * self.worst_sigmas <= loops::CHI_SQUARED
+    }
+
+    /// What is said of it; nothing where no images were kept.
+    pub(super) fn finding(&self) -> Option<Finding> {
+        let Self {
+            places,
+            recognised,
+            closed,
+            ..
+        } = self;
+        let said = match closed {
+            0 => format!(
+                "of {places} places none is known to be one that was seen before: drift grows with the way"
+            ),
+            _ => format!(
+                "{recognised} of {places} places were seen before; {closed} loops are closed, which moved poses by up to {:.1} cm",
+                self.moved_m * 1e2
+            ),
+        };
+        let limit = loops::CHI_SQUARED.sqrt();
+        (*places > 0).then(|| {
+            Finding::new("revisits", Verdict::Warn.unless(self.fit()), "trajectory", said)
+                .value(self.worst_sigmas, "σ")
+                .limit(Limit::AtMost(limit))
+                .remedy("places that look the same may have been taken for one: set revisits.view_secs to 0 and compare")
+        })
+    }
+}
+
+/// A walk bent so that its loops close.
+pub(super) struct Closed {
+    /// State of each frame.
+    pub states: Vec<FrameState>,
+    /// What more than one visit saw.
+    pub tracks: Vec<Vec<LocalObservation>>,
+    keyframes: Vec<Keyframe>,
+    loops: Vec<Measured>,
+    revisits: Revisits,
+}
+
+/// Walk, views and what was found so far.
+pub(super) struct Before<'a> {
+    pub walk: &'a Walk,
+    pub tracked: &'a TrackedWalk,
+    pub settled: &'a Settled,
+    /// Of each place's pose relative to the first frame.
+    pub covariances: &'a [Matrix6<f64>],
+    pub config: &'a RevisitConfig,
+    pub adjustment: &'a GroundTruthConfig,
+}
+
+/// Looks for loops. Without any there is nothing to solve again, and what was looked at is told instead.
+pub(super) fn close(
+    before: &Before<'_>,
+    progress: ProgressFn<'_>,
+) -> Result<Result<Closed, Revisits>, Error> {
+    let placed = PlacedViews::new(before, progress)?;
+    let keyframes = placed.keyframes(before);
+    let mut revisits = Revisits {
+        places: keyframes.len() as u64,
+        ..Revisits::default()
+    };
+    let found = search(&placed, &keyframes, before, progress)?;
+    revisits.recognised = found.len() as u64;
+    let mut found = confirmed(found, &keyframes);
+    if found.is_empty() {
+        return Ok(Err(revisits));
+    }
+    let measured: Vec<Measured> = found.iter().map(|f| f.measured).collect();
+    let mut fits = loops::fitting(&keyframes, &measured, progress)?.into_iter();
+    found.retain(|_| fits.next().unwrap_or(false));
+    let found = apart(found, &keyframes, before.config.loop_secs);
+    if found.is_empty() {
+        return Ok(Err(revisits));
+    }
+    let measured: Vec<Measured> = found.iter().map(|f| f.measured).collect();
+    let closed = loops::close(&keyframes, &measured, progress)?;
+    revisits.closed = found.len() as u64;
+    let moved = keyframes.iter().zip(&closed.world_from_rig);
+    let moved_m = moved.map(|(k, now)| (k.world_from_rig.translation - now.translation).norm());
+    revisits.moved_m = moved_m.fold(0.0, f64::max);
+    let poses: Vec<StampedPose> = keyframes.iter().map(stamped).collect();
+    let frames = before.walk.frames.iter();
+    let states = frames.zip(&before.settled.last.estimate.states);
+    let states = states.map(|(frame, state)| {
+        let here = StampedPose {
+            time: frame.time,
+            world_from_rig: state.nav.world_from_rig,
+        };
+        let there = bent(&here, &poses, &closed.world_from_rig);
+        let turned = there.rotation * here.world_from_rig.rotation.inverse();
+        FrameState {
+            nav: NavState {
+                world_from_rig: there,
+                velocity_m_s: turned * state.nav.velocity_m_s,
+            },
+            bias: state.bias,
+        }
+    });
+    Ok(Ok(Closed {
+        states: states.collect(),
+        tracks: joined(&placed, &before.tracked.views, &found),
+        keyframes,
+        loops: measured,
+        revisits,
+    }))
+}
+
+impl Closed {
+    /// What is said of the loops once all is solved.
+    pub fn revisits(&self, solved: &Settled) -> Revisits {
+        let pose = |k: usize| solved.last.estimate.pose(self.keyframes[k].scan);
+        let squared = self
+            .loops
+            .iter()
+            .map(|l| loops::squared_sigmas(pose(l.earlier), pose(l.later), &l.loop_));
+        Revisits {
+            worst_sigmas: squared.fold(0.0, f64::max).sqrt(),
+            ..self.revisits
+        }
+    }
+}
+
+fn stamped(keyframe: &Keyframe) -> StampedPose {
+    StampedPose {
+        time: keyframe.time,
+        world_from_rig: keyframe.world_from_rig,
+    }
+}
+
+/// Loops that another one says as well.
+fn confirmed(mut found: Vec<Found>, keyframes: &[Keyframe]) -> Vec<Found> {
+    let all: Vec<Measured> = found.iter().map(|f| f.measured).collect();
+    let mut numbers = 0..all.len();
+    found.retain(|f| {
+        let own = numbers.next();
+        let others = all.iter().enumerate().filter(|(k, _)| Some(*k) != own);
+        others
+            .into_iter()
+            .any(|(_, other)| loops::agree(&f.measured, other, keyframes))
+    });
+    found
+}
+
+/// Of loops whose later visits are close to one another those with most pairs; in order of time.
+fn apart(mut found: Vec<Found>, keyframes: &[Keyframe], least_secs: f64) -> Vec<Found> {
+    // The sort is stable: of equals the first stays.
+    found.sort_by_key(|f| std::cmp::Reverse(f.inliers()));
+    let secs = |a: usize, b: usize| keyframes[a].time.secs_since(keyframes[b].time).abs();
+    let mut kept: Vec<Found> = Vec::new();
+    for f in found {
+        let is_near = |other: &Found| secs(f.measured.later, other.measured.later) < least_secs;
+        if !kept.iter().any(is_near) {
+            kept.push(f);
+        }
+    }
+    kept.sort_by_key(|f| f.measured.later);
+    kept
+}
+
+/// Tracks in which what two visits saw is one point.
+fn joined(placed: &PlacedViews, views: &[WalkView], found: &[Found]) -> Vec<Vec<LocalObservation>> {
+    let mut pairs: Vec<ImagePair> = placed.pairs.clone();
+    let mut ends: BTreeSet<TrackedKeypoint> = BTreeSet::new();
+    for pair in found.iter().flat_map(|f| &f.pairs) {
+        let of = |image: usize, keypoint: u32| TrackedKeypoint {
+            image: image as u32,
+            keypoint,
+        };
+        ends.extend(pair.matches.iter().map(|m| of(pair.second, m.second)));
+        pairs.push(pair.clone());
+    }
+    let counts: Vec<usize> = views.iter().map(|v| v.features.len()).collect();
+    let tracks = build_tracks(&counts, &pairs, 2);
+    let is_joined = |track: &&Track| track.keypoints.iter().any(|k| ends.contains(k));
+    let observed = |k: &TrackedKeypoint| sight(views, k);
+    tracks
+        .iter()
+        .filter(is_joined)
+        .map(|track| track.keypoints.iter().map(observed).collect())
+        .collect()
+}
