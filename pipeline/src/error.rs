@@ -132,6 +132,14 @@ pub enum Error {
         /// What is wrong with it.
         problem: &'static str,
     },
+    /// A view of a walk that is of none of its frames or cameras, or out of their order.
+    #[error(
+        "view {view} of the walk is of no frame or camera that it has, or not in their order, or has keypoints without descriptors"
+    )]
+    UnknownView {
+        /// Its number.
+        view: usize,
+    },
     /// Too few descriptors to train a codebook on.
     #[error(
         "{count} descriptors are too few for a codebook, which needs {needed}: give more images, or ask for fewer words"

@@ -21,6 +21,7 @@ use lsfb_types::{ImuSample, no_progress};
 use nalgebra::{SMatrix, SVector};
 
 use revisit::Revisit;
+use tumvi::Shown;
 use vimap::VisualInertialMap;
 
 /// Whether all that a figure needs is to be computed, not only what a test does.
@@ -324,7 +325,7 @@ fn a_hand_held_pair_follows_motion_capture() {
             return;
         };
         let rig = calibrated.join("reference_calibration.json");
-        let (walk, truth) = tumvi::read(&folder, &rig, cameras);
+        let (walk, truth) = tumvi::read(&folder, &rig, &Shown::all(cameras));
         let sights: usize = walk.frames.iter().map(|f| f.sights.len()).sum();
         let found = solved(&walk, None);
         let (ate, _) = ate_m(found.trajectory.poses(), &truth, Scale::Fixed);
@@ -342,4 +343,44 @@ fn a_hand_held_pair_follows_motion_capture() {
         );
         assert!(ate < 0.005 && (free.scale - 1.0).abs() < 0.01);
     }
+}
+
+/// A lens that is covered for two seconds ends all tracks; what is seen again after that tells where the device is.
+#[test]
+fn what_was_seen_before_the_dark_is_recognised_after_it() {
+    let test = "what_was_seen_before_the_dark_is_recognised_after_it";
+    let Some(folder) = recording(test, "tumvi_calib_imu1") else {
+        return;
+    };
+    let rig = folder.join("reference_calibration.json");
+    let shown = Shown {
+        cameras: 1,
+        until_secs: 14.0,
+        dark_secs: 6.0..8.0,
+    };
+    let (walk, truth) = tumvi::read(&folder, &rig, &shown);
+    let alone = solved(
+        &TrackedWalk {
+            views: Vec::new(),
+            ..walk.clone()
+        },
+        None,
+    );
+    let found = solved(&walk, None);
+    let last_sigma_m = |motion: &Motion| {
+        let last = motion.covariances.last().expect("poses");
+        last.fixed_view::<3, 3>(3, 3).trace().sqrt()
+    };
+    let ate_m = |motion: &Motion| ate_m(motion.trajectory.poses(), &truth, Scale::Fixed).0;
+    let [before, after] = [&alone, &found].map(|m| [ate_m(m), last_sigma_m(m)]);
+    println!(
+        "ATE {:.2} and {:.2} mm, σ of the last position {:.2} and {:.2} mm, {:?}",
+        1e3 * before[0],
+        1e3 * after[0],
+        1e3 * before[1],
+        1e3 * after[1],
+        found.revisits
+    );
+    assert!(found.revisits.closed >= 1 && found.revisits.fit());
+    assert!(after[0] < 0.005 && after[1] < 0.5 * before[1]);
 }

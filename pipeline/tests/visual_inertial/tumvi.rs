@@ -1,5 +1,6 @@
 //! Folders of TUM VI: images of two fisheye cameras, an IMU and motion capture.
 
+use std::ops::Range;
 use std::path::Path;
 
 use lsfb_geometry::camera::Lens;
@@ -8,7 +9,7 @@ use lsfb_geometry::{
     Vector3,
 };
 use lsfb_perception::image;
-use lsfb_pipeline::ground_truth::{FrontEnd, TrackedWalk};
+use lsfb_pipeline::ground_truth::{FrontEnd, RevisitConfig, TrackedWalk};
 use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
 use nalgebra::Quaternion;
 use serde_json::Value;
@@ -18,8 +19,30 @@ use super::vimap::sample;
 
 const KEYFRAME_SECS: f64 = 0.1;
 
+/// What of a recording is shown to a walk.
+pub struct Shown {
+    /// So many of the cameras.
+    pub cameras: usize,
+    /// Until so long after the first image, seconds.
+    pub until_secs: f64,
+    /// When it is dark, seconds after the first image.
+    pub dark_secs: Range<f64>,
+}
+
+impl Shown {
+    /// All of it, by some cameras.
+    pub fn all(cameras: usize) -> Self {
+        Self {
+            cameras,
+            until_secs: f64::INFINITY,
+            dark_secs: 0.0..0.0,
+        }
+    }
+}
+
 /// The walk as seen by the first cameras, and where the IMU was.
-pub fn read(folder: &Path, calibration: &Path, cameras: usize) -> (TrackedWalk, Trajectory) {
+pub fn read(folder: &Path, calibration: &Path, shown: &Shown) -> (TrackedWalk, Trajectory) {
+    let cameras = shown.cameras;
     let data = folder.join("mav0");
     let calibration = std::fs::read_to_string(calibration).expect("a calibration");
     let calibration: Value = serde_json::from_str(&calibration).expect("JSON");
@@ -56,11 +79,22 @@ pub fn read(folder: &Path, calibration: &Path, cameras: usize) -> (TrackedWalk, 
         })
         .collect();
     stamps.sort_unstable();
-    let mut front_end = FrontEnd::new(rig, imu, noise, KEYFRAME_SECS);
+    let front_end = FrontEnd::new(rig, imu, noise, KEYFRAME_SECS);
+    let front_end = front_end.keeping_views(&RevisitConfig::default());
+    let mut front_end = front_end.expect("settings");
+    let first = stamps.first().copied().unwrap_or(0);
     for ns in stamps {
-        let images: Vec<Option<Image>> = (0..cameras)
+        let secs = (ns - first) as f64 * 1e-9;
+        if secs > shown.until_secs {
+            break;
+        }
+        let mut images: Vec<Option<Image>> = (0..cameras)
             .map(|k| image::read(&data.join(format!("cam{k}/data/{ns}.jpg"))).ok())
             .collect();
+        if shown.dark_secs.contains(&secs) {
+            let all = images.iter_mut().flatten();
+            all.for_each(|image| image.pixels.fill(0));
+        }
         let images: Vec<Option<&Image>> = images.iter().map(Option::as_ref).collect();
         front_end.push(Timestamp::from_nanos(ns), &images);
     }

@@ -65,9 +65,7 @@ impl FrontEnd {
         let turn = self.last.and_then(|last| self.turn(last, time));
         let mut pyramids: Vec<Option<Pyramid>> = Vec::new();
         for (k, camera) in self.cameras.iter().enumerate() {
-            let fits =
-                |i: &&Image| i.width == camera.camera.width && i.height == camera.camera.height;
-            let image = images.get(k).copied().flatten().filter(fits);
+            let image = fitting(images, k, camera);
             pyramids.push(image.map(|image| Pyramid::new(image, &camera.camera)));
         }
         let mut sights = Vec::new();
@@ -119,8 +117,9 @@ impl FrontEnd {
             return;
         }
         let frame = self.frames.len() - 1;
-        let kept = images.par_iter().enumerate().filter_map(|(camera, image)| {
-            let features = detector.clone().detect((*image)?);
+        let cameras = self.cameras.par_iter().enumerate();
+        let kept = cameras.filter_map(|(camera, mounted)| {
+            let features = detector.clone().detect(fitting(images, camera, mounted)?);
             (!features.is_empty()).then_some(WalkView {
                 frame,
                 camera,
@@ -153,4 +152,17 @@ impl FrontEnd {
         let between = PreintegratedImu::integrate(&self.imu, from, to, none, &self.noise);
         Some(between.ok()?.rotation.inverse())
     }
+}
+
+/// The image of a camera, where it is there and of the camera's size.
+fn fitting<'a>(
+    images: &[Option<&'a Image>],
+    camera: usize,
+    mounted: &RigCamera,
+) -> Option<&'a Image> {
+    let fits = |i: &&Image| {
+        let camera = &mounted.camera;
+        i.width == camera.width && i.height == camera.height
+    };
+    images.get(camera).copied().flatten().filter(fits)
 }

@@ -41,7 +41,7 @@ pub use report::MotionReport;
 use revisits::{Before, Closed, close};
 pub use revisits::{RevisitConfig, Revisits, WalkView};
 use sights::Tracks;
-use uncertainty::{Uncertainty, uncertainty};
+use uncertainty::uncertainty;
 
 /// What a front end followed, and what the IMU felt.
 #[derive(Clone, Debug)]
@@ -130,7 +130,8 @@ const LARGEST_CONTRADICTED_SHARE: f64 = 0.4;
 
 /// The motion of a walk without a map, from states that are known roughly or from nothing.
 ///
-/// [`Error::NoBeginning`] where nothing tells scale and gravity, [`Error::TracksContradict`] where tracks and IMU do not agree; `start`, where given, has a state for each frame.
+/// [`Error::NoBeginning`] where nothing tells scale and gravity, [`Error::TracksContradict`] where tracks and IMU do not agree,
+/// [`Error::UnknownView`] where a view is of no frame or camera of the walk; `start`, where given, has a state for each frame.
 pub fn motion_without_map(
     walk: &TrackedWalk,
     start: Option<Vec<(NavState, ImuBias)>>,
@@ -138,6 +139,7 @@ pub fn motion_without_map(
     progress: ProgressFn<'_>,
 ) -> Result<Motion, Error> {
     config.check_bounds("motion")?;
+    revisits::check(walk)?;
     let settings = config;
     let config = &settings.adjustment;
     let tracks = Tracks::of(walk);
@@ -190,7 +192,8 @@ pub fn motion_without_map(
     let first = first_seeing(&sights_in_use, settings);
     let imu = ImuRefinement::of(&inner, solved, config)?;
     let all: Vec<usize> = (0..walk.frames.len()).collect();
-    let uncertainty = uncertainty_of(walk, &inner, &settled, &all, settings, progress)?;
+    let less_sure = less_sure(walk, inner, &settled, &imu, settings);
+    let uncertainty = uncertainty(&less_sure, &settled, first, &all, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
     let states = &solved.estimate.states;
@@ -226,26 +229,22 @@ fn first_seeing(sights_in_use: &[usize], config: &MotionConfig) -> usize {
     sights_in_use.iter().position(sees_enough).unwrap_or(0)
 }
 
-/// Covariances of some frames relative to the first that sees enough, with the IMU as it showed itself.
-fn uncertainty_of(
+/// The walk with the IMU as it showed itself, and less of it where it alone says where the device was.
+fn less_sure(
     walk: &TrackedWalk,
-    inner: &Walk,
+    mut less_sure: Walk,
     settled: &Settled,
-    frames: &[usize],
+    imu: &ImuRefinement,
     config: &MotionConfig,
-    progress: ProgressFn<'_>,
-) -> Result<Uncertainty, Error> {
-    let imu = ImuRefinement::of(inner, &settled.last, &config.adjustment)?;
+) -> Walk {
     let sights_in_use = in_use(&settled.last.points, walk.frames.len());
     let blind = blind_stretches(walk, &sights_in_use, config);
-    let mut less_sure = inner.clone();
     less_sure.loosen_imu(imu.noise_factor());
     for k in blind.into_iter().flat_map(|[a, b]| a..b) {
         let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
         *factor = factor.max(config.blind_imu_noise_factor);
     }
-    let first = first_seeing(&sights_in_use, config);
-    uncertainty(&less_sure, settled, first, frames, progress)
+    less_sure
 }
 
 /// Looks for places that the walk came back to.
@@ -258,7 +257,11 @@ fn look_again(
 ) -> Result<Result<Closed, Revisits>, Error> {
     let mut frames: Vec<usize> = walk.views.iter().map(|v| v.frame).collect();
     frames.dedup();
-    let known = uncertainty_of(walk, inner, settled, &frames, config, progress)?;
+    let imu = ImuRefinement::of(inner, &settled.last, &config.adjustment)?;
+    let less_sure = less_sure(walk, inner.clone(), settled, &imu, config);
+    let sights_in_use = in_use(&settled.last.points, walk.frames.len());
+    let first = first_seeing(&sights_in_use, config);
+    let known = uncertainty(&less_sure, settled, first, &frames, progress)?;
     let before = Before {
         walk: inner,
         tracked: walk,

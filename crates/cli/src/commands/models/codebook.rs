@@ -43,6 +43,8 @@ pub struct CodebookArguments {
 #[derive(Serialize)]
 struct Trained {
     images: u64,
+    /// Images that could not be read.
+    damaged: u64,
     descriptors: u64,
     words: usize,
 }
@@ -53,7 +55,7 @@ pub fn codebook(arguments: &CodebookArguments, context: &Context) -> anyhow::Res
     context.claim(&arguments.out, &read)?;
     let mut detector = SiftDetector::new(&SiftConfig::default())?;
     let mut descriptors: Vec<Descriptor> = Vec::new();
-    let mut images = 0;
+    let (mut images, mut damaged) = (0, 0);
     for (done, path) in arguments.recordings.iter().enumerate() {
         let recording = context.open(path)?;
         let rig = about(path, recording.rig())?;
@@ -65,7 +67,10 @@ pub fn codebook(arguments: &CodebookArguments, context: &Context) -> anyhow::Res
                 done: done as u64,
                 total: arguments.recordings.len() as u64,
             })?;
-            let item = about(path, item)?;
+            let Ok(item) = item else {
+                damaged += 1;
+                continue;
+            };
             let (time, last) = (item.image.time, &mut last[item.camera]);
             if last.is_some_and(|last| time.secs_since(last) < arguments.every_secs) {
                 continue;
@@ -80,17 +85,22 @@ pub fn codebook(arguments: &CodebookArguments, context: &Context) -> anyhow::Res
     files::write(&arguments.out, trained.to_bytes())?;
     let report = Trained {
         images,
+        damaged,
         descriptors: descriptors.len() as u64,
         words: trained.len(),
     };
     context.print(&report, || {
         format!(
-            "{}: {} words of {} descriptors in {} images\n",
+            "{}: {} words of {} descriptors in {} images",
             arguments.out.display(),
             report.words,
             report.descriptors,
             report.images
         )
     })?;
+    if damaged > 0 {
+        context.say(&format!("{damaged} damaged images were left out"));
+        return Ok(Outcome::DataLost);
+    }
     Ok(Outcome::Done)
 }

@@ -157,6 +157,25 @@ impl Revisits {
     }
 }
 
+/// Refuses views that are of no frame or camera of their walk, out of order, or of keypoints without descriptors.
+pub(super) fn check(walk: &TrackedWalk) -> Result<(), Error> {
+    let is_there = |v: &WalkView| {
+        v.frame < walk.frames.len()
+            && v.camera < walk.cameras.len()
+            && v.features.keypoints.len() == v.features.descriptors.len()
+    };
+    let place = |v: &WalkView| (v.frame, v.camera);
+    let mut views = walk.views.iter().enumerate();
+    let wrong = views.find(|(k, view)| {
+        let before = k.checked_sub(1).map(|k| place(&walk.views[k]));
+        !is_there(view) || before.is_some_and(|before| before >= place(view))
+    });
+    match wrong {
+        Some((view, _)) => Err(Error::UnknownView { view }),
+        None => Ok(()),
+    }
+}
+
 /// A walk bent so that its loops close.
 pub(super) struct Closed {
     /// State of each frame.
@@ -264,10 +283,8 @@ fn confirmed(mut found: Vec<Found>, keyframes: &[Keyframe]) -> Vec<Found> {
     let mut numbers = 0..all.len();
     found.retain(|f| {
         let own = numbers.next();
-        let others = all.iter().enumerate().filter(|(k, _)| Some(*k) != own);
-        others
-            .into_iter()
-            .any(|(_, other)| loops::agree(&f.measured, other, keyframes))
+        let mut others = all.iter().enumerate().filter(|(k, _)| Some(*k) != own);
+        others.any(|(_, other)| loops::agree(&f.measured, other, keyframes))
     });
     found
 }
@@ -288,6 +305,10 @@ fn apart(mut found: Vec<Found>, keyframes: &[Keyframe], least_secs: f64) -> Vec<
     kept
 }
 
+/// Sights of what two visits saw that are farther from both of them than this are left out, in places: each visit has few images of a point
+/// then, and the adjustment fewer frames that hang together.
+const FROM_VISIT: usize = 1;
+
 /// Tracks in which what two visits saw is one point.
 fn joined(placed: &PlacedViews, views: &[WalkView], found: &[Found]) -> Vec<Vec<LocalObservation>> {
     let mut pairs: Vec<ImagePair> = placed.pairs.clone();
@@ -297,16 +318,31 @@ fn joined(placed: &PlacedViews, views: &[WalkView], found: &[Found]) -> Vec<Vec<
             image: image as u32,
             keypoint,
         };
+        ends.extend(pair.matches.iter().map(|m| of(pair.first, m.first)));
         ends.extend(pair.matches.iter().map(|m| of(pair.second, m.second)));
         pairs.push(pair.clone());
     }
+    let mut place_of = vec![0; views.len()];
+    for (place, images) in placed.places.iter().enumerate() {
+        place_of[images.clone()].fill(place);
+    }
+    let place = |k: &TrackedKeypoint| place_of[k.image as usize];
     let counts: Vec<usize> = views.iter().map(|v| v.features.len()).collect();
     let tracks = build_tracks(&counts, &pairs, 2);
-    let is_joined = |track: &&Track| track.keypoints.iter().any(|k| ends.contains(k));
-    let observed = |k: &TrackedKeypoint| sight(views, k);
-    tracks
-        .iter()
-        .filter(is_joined)
-        .map(|track| track.keypoints.iter().map(observed).collect())
-        .collect()
+    let near_visits = |track: &Track| {
+        let keypoints = track.keypoints.iter();
+        let visits: Vec<usize> = keypoints
+            .clone()
+            .filter(|k| ends.contains(k))
+            .map(place)
+            .collect();
+        let is_near = |k: &&TrackedKeypoint| {
+            let near = |visit: &usize| visit.abs_diff(place(k)) <= FROM_VISIT;
+            visits.iter().any(near)
+        };
+        let kept = keypoints.filter(is_near).map(|k| sight(views, k));
+        // A match that contradicted better ones leaves one end alone.
+        (visits.len() >= 2).then(|| kept.collect())
+    };
+    tracks.iter().filter_map(near_visits).collect()
 }
