@@ -22,7 +22,7 @@ const COVARIANCES_AT_ONCE: usize = 60;
 
 /// Poses of the keyframes once loops are closed.
 #[derive(Clone, Debug)]
-pub(crate) struct Closed {
+pub(super) struct Closed {
     pub world_from_rig: Vec<Se3>,
     /// Relative to the first, in the tangent of each.
     pub covariances: Vec<Matrix6<f64>>,
@@ -59,15 +59,34 @@ pub(crate) fn fitting(
     Ok(loops.iter().map(fits).collect())
 }
 
+/// Where all of these loops are closed.
+pub(crate) fn closed_poses(
+    keyframes: &[Keyframe],
+    loops: &[Measured],
+    progress: ProgressFn<'_>,
+) -> Result<Vec<Se3>, Error> {
+    let (problem, poses) = solved(keyframes, loops, progress)?;
+    Ok(poses.iter().map(|p| problem.value(*p)).collect())
+}
+
+fn solved(
+    keyframes: &[Keyframe],
+    loops: &[Measured],
+    progress: ProgressFn<'_>,
+) -> Result<(Problem, Vec<Block<Se3>>), Error> {
+    let (mut problem, poses) = problem(keyframes, loops, Kernel::Squared)?;
+    let config = SolveConfig::default();
+    solve_until_converged("loops closed", &mut problem, &config, progress)?;
+    Ok((problem, poses))
+}
+
 /// Closes all of these loops.
-pub(crate) fn close(
+pub(super) fn close(
     keyframes: &[Keyframe],
     loops: &[Measured],
     progress: ProgressFn<'_>,
 ) -> Result<Closed, Error> {
-    let (mut problem, poses) = problem(keyframes, loops, Kernel::Squared)?;
-    let config = SolveConfig::default();
-    solve_until_converged("loops closed", &mut problem, &config, progress)?;
+    let (problem, poses) = solved(keyframes, loops, progress)?;
     let mut covariances = vec![Matrix6::zeros()];
     for some in poses[1..].chunks(COVARIANCES_AT_ONCE) {
         let ids: Vec<_> = some.iter().map(|block| block.id()).collect();

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) use agreement::{Measured, agree};
 pub(crate) use assessment::CHI_SQUARED;
 pub use closing::{Closing, close_loops};
-pub(crate) use graph::{close, fitting, squared_sigmas};
+pub(crate) use graph::{closed_poses, fitting, squared_sigmas};
 pub(crate) use keyframes::Keyframe;
 pub use search::find_loops;
 pub(crate) use ways::{Way, Ways};
@@ -127,7 +127,7 @@ pub struct MeasuredLoop {
 
 impl MeasuredLoop {
     /// In the tangent of the later pose.
-    fn covariance(&self) -> Matrix6<f64> {
+    pub(crate) fn covariance(&self) -> Matrix6<f64> {
         let (r, t) = (self.rotation_sigma_rad, self.translation_sigma_m);
         let mut covariance = Matrix6::identity() * (r * r);
         covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(t * t);

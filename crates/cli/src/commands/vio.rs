@@ -117,6 +117,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut provenance = Provenance::new(&config);
     // Of a folder the recording that was made of it: it holds all that was read.
     provenance.add_input(place)?;
+    if let Some(codebook) = &config.revisits.codebook {
+        provenance.add_input(codebook)?;
+    }
     anyhow::ensure!(
         imported.is_none() || recording.rig().is_ok(),
         "{}: nothing in it says where the cameras are on the IMU; give the rig with --rig",

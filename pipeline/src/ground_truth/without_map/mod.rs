@@ -173,8 +173,9 @@ pub fn motion_without_map(
             look_again(walk, &inner, &roughly, settings, progress)?
         }
     };
-    let joined = tracks.with(closed.as_ref().map_or(&[], |c| &c.tracks));
+    let joined;
     if let Ok(closed) = &closed {
+        joined = tracks.with(&closed.tracks);
         extension = extension.closed(&joined, &closed.states);
     }
     let settled = extension.finish(config, progress)?;
@@ -192,7 +193,7 @@ pub fn motion_without_map(
     let first = first_seeing(&sights_in_use, settings);
     let imu = ImuRefinement::of(&inner, solved, config)?;
     let all: Vec<usize> = (0..walk.frames.len()).collect();
-    let less_sure = less_sure(walk, inner, &settled, &imu, settings);
+    let less_sure = less_sure(walk, inner, &sights_in_use, &imu, settings);
     let uncertainty = uncertainty(&less_sure, &settled, first, &all, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
@@ -233,12 +234,11 @@ fn first_seeing(sights_in_use: &[usize], config: &MotionConfig) -> usize {
 fn less_sure(
     walk: &TrackedWalk,
     mut less_sure: Walk,
-    settled: &Settled,
+    sights_in_use: &[usize],
     imu: &ImuRefinement,
     config: &MotionConfig,
 ) -> Walk {
-    let sights_in_use = in_use(&settled.last.points, walk.frames.len());
-    let blind = blind_stretches(walk, &sights_in_use, config);
+    let blind = blind_stretches(walk, sights_in_use, config);
     less_sure.loosen_imu(imu.noise_factor());
     for k in blind.into_iter().flat_map(|[a, b]| a..b) {
         let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
@@ -258,8 +258,8 @@ fn look_again(
     let mut frames: Vec<usize> = walk.views.iter().map(|v| v.frame).collect();
     frames.dedup();
     let imu = ImuRefinement::of(inner, &settled.last, &config.adjustment)?;
-    let less_sure = less_sure(walk, inner.clone(), settled, &imu, config);
     let sights_in_use = in_use(&settled.last.points, walk.frames.len());
+    let less_sure = less_sure(walk, inner.clone(), &sights_in_use, &imu, config);
     let first = first_seeing(&sights_in_use, config);
     let known = uncertainty(&less_sure, settled, first, &frames, progress)?;
     let before = Before {

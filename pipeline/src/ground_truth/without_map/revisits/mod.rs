@@ -2,7 +2,7 @@
 //!
 //! Some images are kept with their features ([`WalkView`]). Those of one place are proposed by how alike they are ([`Codebook`]); the features
 //! of the later are paired with points that the images around the earlier saw, and a pose by P3P in RANSAC must have more of the pairs than
-//! chance gives, and agree with what is known of the drift. Two loops must lead to one pose, and all of them fit one graph of the
+//! chance gives, and be where the walk can have drifted to. Two loops must lead to one pose, and all of them fit one graph of the
 //! walk. That graph bends the walk, and the pairs join what both visits saw into points of the adjustment, which then is
 //! solved as a whole. A false loop is worse than none; `loops` says the same of scans, and judges by the same code.
 
@@ -223,9 +223,9 @@ pub(super) fn close(
         return Ok(Err(revisits));
     }
     let measured: Vec<Measured> = found.iter().map(|f| f.measured).collect();
-    let closed = loops::close(&keyframes, &measured, progress)?;
+    let closed = loops::closed_poses(&keyframes, &measured, progress)?;
     revisits.closed = found.len() as u64;
-    let moved = keyframes.iter().zip(&closed.world_from_rig);
+    let moved = keyframes.iter().zip(&closed);
     let moved_m = moved.map(|(k, now)| (k.world_from_rig.translation - now.translation).norm());
     revisits.moved_m = moved_m.fold(0.0, f64::max);
     let poses: Vec<StampedPose> = keyframes.iter().map(stamped).collect();
@@ -236,7 +236,7 @@ pub(super) fn close(
             time: frame.time,
             world_from_rig: state.nav.world_from_rig,
         };
-        let there = bent(&here, &poses, &closed.world_from_rig);
+        let there = bent(&here, &poses, &closed);
         let turned = there.rotation * here.world_from_rig.rotation.inverse();
         FrameState {
             nav: NavState {

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use lsfb_geometry::{Matrix3, Matrix6};
 use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
@@ -15,7 +16,7 @@ use crate::localization::{
     ExpectedPose, MountedCamera, PointMatch, PoseKnowledge, RansacConfig, VerifiedPose,
     verified_pose,
 };
-use crate::loops::{Keyframe, Measured, MeasuredLoop, Way, Ways};
+use crate::loops::{CHI_SQUARED, Keyframe, Measured, MeasuredLoop, Way, Ways};
 use crate::vlad::Vlad;
 use crate::worst_sigma::worst_sigmas;
 
@@ -25,7 +26,7 @@ const CANDIDATES_APART: usize = 4;
 const AROUND: usize = 2;
 /// Two visits see the same by tracks that never ended where so many features were followed from one to the other.
 const FOLLOWED: usize = 8;
-/// What the walk may drift besides what its covariance says: metres and radians.
+/// Poses are looked for so much farther than the walk may have drifted, metres and radians; whether what is found fits the drift is asked then.
 const LEAST_OPEN_M: f64 = 0.1;
 const LEAST_OPEN_RAD: f64 = 0.01;
 /// In how many standard deviations of the drift a place is looked for.
@@ -191,7 +192,7 @@ impl Search<'_> {
                     camera: own.camera,
                     pixel,
                     point_in_world: self.placed.points[points[m.first as usize]],
-                    point_covariance_m2: nalgebra::Matrix3::zeros(),
+                    point_covariance_m2: Matrix3::zeros(),
                 };
                 matches.push((m.distance_squared, m.first, point));
                 keypoints.push((view, m));
@@ -206,36 +207,38 @@ impl Search<'_> {
             }),
         };
         let found = verified_pose(&self.cameras, &matches, &known, &RansacConfig::default())?;
-        self.is_sure(&found).then(|| {
-            let mut pairs: BTreeMap<(usize, usize), Vec<Match>> = BTreeMap::new();
-            for k in &found.inliers {
-                let (view, m) = keypoints[*k];
-                let (source, keypoint) = sources[m.first as usize];
-                pairs.entry((source, view)).or_default().push(Match {
-                    first: keypoint,
-                    ..m
-                });
-            }
-            let [rotation_rad, place_m] = worst_sigmas(&found.covariance);
-            Found {
-                measured: Measured {
-                    earlier,
-                    later,
-                    loop_: MeasuredLoop {
-                        earlier_from_later: world_from_earlier.inverse() * found.world_from_rig,
-                        rotation_sigma_rad: rotation_rad.hypot(SHARED_RAD),
-                        translation_sigma_m: place_m.hypot(SHARED_M),
-                    },
-                },
-                pairs: pairs
-                    .into_iter()
-                    .map(|((first, second), matches)| ImagePair {
-                        first,
-                        second,
-                        matches,
-                    })
-                    .collect(),
-            }
+        let [rotation_rad, place_m] = worst_sigmas(&found.covariance);
+        let measured = Measured {
+            earlier,
+            later,
+            loop_: MeasuredLoop {
+                earlier_from_later: world_from_earlier.inverse() * found.world_from_rig,
+                rotation_sigma_rad: rotation_rad.hypot(SHARED_RAD),
+                translation_sigma_m: place_m.hypot(SHARED_M),
+            },
+        };
+        if !self.is_sure(&found) || !fits_drift(way, &measured.loop_) {
+            return None;
+        }
+        let mut pairs: BTreeMap<(usize, usize), Vec<Match>> = BTreeMap::new();
+        for k in &found.inliers {
+            let (view, m) = keypoints[*k];
+            let (source, keypoint) = sources[m.first as usize];
+            pairs.entry((source, view)).or_default().push(Match {
+                first: keypoint,
+                ..m
+            });
+        }
+        let pairs = pairs
+            .into_iter()
+            .map(|((first, second), matches)| ImagePair {
+                first,
+                second,
+                matches,
+            });
+        Some(Found {
+            measured,
+            pairs: pairs.collect(),
         })
     }
 
@@ -263,8 +266,17 @@ impl Search<'_> {
     }
 }
 
+/// Whether a loop is where the walk can have drifted to. Loops that are false together outweigh the drift in any graph: each is asked by itself.
+fn fits_drift(way: &Way, loop_: &MeasuredLoop) -> bool {
+    let off = way.here_from_target.local(&loop_.earlier_from_later);
+    let covariance = way.covariance + loop_.covariance();
+    covariance
+        .cholesky()
+        .is_some_and(|c| off.dot(&c.solve(&off)) < CHI_SQUARED)
+}
+
 /// A covariance with what it does not say added.
-fn opened(covariance: &lsfb_geometry::Matrix6<f64>) -> lsfb_geometry::Matrix6<f64> {
+fn opened(covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let mut opened = *covariance;
     for k in 0..3 {
         opened[(k, k)] += LEAST_OPEN_RAD * LEAST_OPEN_RAD;
