@@ -186,7 +186,7 @@ impl Search<'_> {
             if agree(other, &new, self.keyframes) {
                 agrees = true;
                 if std::mem::replace(confirmed, Confirmed::Yes) == Confirmed::NotYet {
-                    close(&mut self.ways, other);
+                    self.ways.accept(other);
                 }
             }
         }
@@ -195,7 +195,7 @@ impl Search<'_> {
             false => Confirmed::NotYet,
         };
         if agrees {
-            close(&mut self.ways, &new);
+            self.ways.accept(&new);
             self.confirmed_m = self.keyframes[later].path_m;
         }
         self.measured.push((new, number, confirmed));
@@ -209,18 +209,4 @@ impl Search<'_> {
         }
         self.found
     }
-}
-
-fn close(ways: &mut Ways, measured: &Measured) {
-    let Measured {
-        earlier,
-        later,
-        loop_,
-    } = measured;
-    ways.close(
-        *earlier,
-        *later,
-        &loop_.earlier_from_later,
-        &loop_.covariance(),
-    );
 }

@@ -5,6 +5,7 @@ use std::collections::BinaryHeap;
 
 use lsfb_geometry::{Matrix6, Se3};
 
+use super::agreement::Measured;
 use super::keyframes::{Keyframe, added};
 
 /// By how much the odometry's standard deviations are widened before a loop is held against them: where scans do not see all of the
@@ -76,15 +77,21 @@ impl Ways {
         ways
     }
 
-    /// A loop that is accepted; its covariance in the tangent of the later.
-    pub fn close(
-        &mut self,
-        earlier: usize,
-        later: usize,
-        earlier_from_later: &Se3,
-        covariance: &Matrix6<f64>,
-    ) {
-        self.join(earlier, later, earlier_from_later, covariance, LOOP_M);
+    /// Adds a loop that is accepted.
+    pub fn accept(&mut self, measured: &Measured) {
+        let Measured {
+            earlier,
+            later,
+            loop_,
+        } = measured;
+        let covariance = loop_.covariance();
+        self.join(
+            *earlier,
+            *later,
+            &loop_.earlier_from_later,
+            &covariance,
+            LOOP_M,
+        );
     }
 
     fn join(

@@ -235,7 +235,10 @@ fn what_is_seen_again_takes_drift_out() {
             after_m * 1e3,
             found.revisits
         );
-        assert!(found.revisits.closed >= 3 && found.revisits.fit(), "{seed}");
+        assert!(
+            found.revisits.closed >= 3 && found.revisits.opened == 0,
+            "{seed}"
+        );
         ratios.push(after_m / before_m);
         shares.push(within);
     }
@@ -245,23 +248,41 @@ fn what_is_seen_again_takes_drift_out() {
 }
 
 /// Images of the last four seconds show what stands there once more, so far aside as the next room is, or the next of a row. What is as near as the
-/// walk may have drifted is closed, and then said not to fit.
+/// walk may have drifted is closed, does not fit the walk that is solved with it, and is opened again.
 #[test]
-fn a_place_that_looks_like_another_closes_nothing() {
+fn a_place_that_looks_like_another_moves_nothing() {
     for (seed, aside_m) in [(0, 2.0), (1, 0.6), (2, 0.3), (3, 0.15)] {
-        let (mut walk, _) = walk(seed, LONG_SECS, aside_m);
+        let (mut walk, poses) = walk(seed, LONG_SECS, aside_m);
         let end = walk.frames.len();
-        let deceived = motion(walk.clone()).revisits;
+        let deceived = motion(walk.clone());
         let is_last = |v: &WalkView| (end - v.frame) as f64 * FRAME_SECS <= LAST_SECS;
         walk.views.retain(|view| !is_last(view));
-        let honest = motion(walk).revisits;
-        println!("{aside_m} m: {honest:?}, with them {deceived:?}");
-        assert!(honest.closed >= 3, "{aside_m} m");
-        let is_said = aside_m < 0.2 && !deceived.fit();
-        assert!(deceived.closed == honest.closed || is_said, "{aside_m} m");
+        let honest = motion(walk);
+        let (off_m, _) = errors(&deceived, &poses);
+        let (least_m, _) = errors(&honest, &poses);
+        let (deceived, honest) = (deceived.revisits, honest.revisits);
+        println!(
+            "{aside_m} m: {:.1} mm, {honest:?}, with them {:.1} mm, {deceived:?}",
+            least_m * 1e3,
+            off_m * 1e3
+        );
+        assert!(honest.closed >= 3 && honest.opened == 0, "{aside_m} m");
+        assert!(off_m <= 1.2 * least_m, "{aside_m} m");
+        assert_eq!(deceived.closed, honest.closed, "{aside_m} m");
         assert!(deceived.recognised == honest.recognised || aside_m < 1.0);
         assert!(deceived.places >= honest.places + 7, "{aside_m} m");
     }
+}
+
+/// Where the walk may have drifted too far for any likeness, what was recognised on the way shortens it: by the drift alone 11 places are within reach.
+#[test]
+fn loops_on_the_way_lead_to_later_ones() {
+    let (walk, _) = walk(0, 2.0 * LONG_SECS, 0.0);
+    let mut config = MotionConfig::default();
+    config.revisits.max_open_m = 0.316;
+    let found = motion_without_map(&walk, None, &config, &no_progress).expect("moves");
+    println!("{:?}", found.revisits);
+    assert!(found.revisits.recognised >= 40 && found.revisits.opened == 0);
 }
 
 /// 95 % of squared norms of six and of three standard normal numbers are below these.

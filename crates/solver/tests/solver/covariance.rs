@@ -1,9 +1,12 @@
 //! Covariances against a dense inverse, and against those of Ceres.
 
+use lsfb_geometry::{Matrix6, Se3};
 use lsfb_problems::bal::{BalProblem, parse};
+use lsfb_problems::g2o::Between;
 use lsfb_problems::gauge::{hold_gauge, solve_to_the_last_bit};
 use lsfb_solver::{
-    BlockId, Error, Kernel, SolveConfig, covariance, covariance_of_groups, dense_jacobian, solve,
+    BlockId, Error, Kernel, Problem, SolveConfig, covariance, covariance_of_groups, dense_jacobian,
+    solve,
 };
 use nalgebra::DMatrix;
 
@@ -125,6 +128,41 @@ fn farthest_from(expected: &str, bal: &BalProblem) -> f64 {
     }
     assert_eq!(expected.next(), None);
     farthest
+}
+
+/// A chain that hangs on thousands of stiff links, and is held softly at one end, is determined, however small the eigenvalue: so walks hang on
+/// their IMU.
+#[test]
+fn the_end_of_a_long_chain_has_its_covariance() {
+    const LINKS: usize = 2000;
+    const LINK_M: f64 = 2e-6;
+    const HELD_M: f64 = 0.05;
+    let mut problem = Problem::new();
+    let chain: Vec<_> = (0..=LINKS + 1)
+        .map(|_| problem.add_block(Se3::identity()))
+        .collect();
+    problem.set_constant(chain[0]);
+    for (k, pair) in chain.windows(2).enumerate() {
+        let sigma_m = if k == 0 { HELD_M } else { LINK_M };
+        let mut sqrt_information = Matrix6::identity();
+        for row in 3..6 {
+            sqrt_information[(row, row)] = 1.0 / sigma_m;
+        }
+        let link = Between {
+            b_from_a_measured: Se3::identity(),
+            sqrt_information,
+        };
+        let pair = [pair[0].id(), pair[1].id()];
+        let added = problem.add_residual(link, &pair, Kernel::Squared);
+        added.expect("fits");
+    }
+    let end = chain[LINKS + 1].id();
+    let found = covariance(&problem, &[end]).expect("determined");
+    let variance = HELD_M.powi(2) + LINKS as f64 * LINK_M.powi(2);
+    for row in 3..6 {
+        let ratio = found.joint()[(row, row)] / variance;
+        assert!((0.99..1.01).contains(&ratio), "{ratio}");
+    }
 }
 
 #[test]

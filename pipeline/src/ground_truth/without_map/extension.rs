@@ -43,6 +43,7 @@ pub(super) struct Settled {
 }
 
 /// States of a stretch of the walk.
+#[derive(Clone)]
 pub(super) struct Extension<'a> {
     walk: &'a Walk,
     tracks: &'a Tracks,

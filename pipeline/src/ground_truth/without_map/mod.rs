@@ -38,7 +38,7 @@ use extension::{Extension, Settled};
 pub use front_end::FrontEnd;
 pub use recorded::{RecordedMotion, motion_of_recording, motion_of_recording_in_stages};
 pub use report::MotionReport;
-use revisits::{Before, Closed, close};
+use revisits::{Before, ClosedLoops};
 pub use revisits::{RevisitConfig, Revisits, WalkView};
 use sights::Tracks;
 use uncertainty::uncertainty;
@@ -166,20 +166,10 @@ pub fn motion_without_map(
         _ => begin(&inner, &tracks, config, progress)?,
     };
     extension.extend(config, progress)?;
-    let closed = match walk.views.is_empty() {
-        true => Err(Revisits::default()),
-        false => {
-            let roughly = extension.roughly(config, progress)?;
-            look_again(walk, &inner, &roughly, settings, progress)?
-        }
+    let (settled, revisits) = match walk.views.is_empty() {
+        true => (extension.finish(config, progress)?, Revisits::default()),
+        false => finish_closed(walk, &inner, &tracks, extension, settings, progress)?,
     };
-    let joined;
-    if let Ok(closed) = &closed {
-        joined = tracks.with(&closed.tracks);
-        extension = extension.closed(&joined, &closed.states);
-    }
-    let settled = extension.finish(config, progress)?;
-    let revisits = closed.map_or_else(|none| none, |closed| closed.revisits(&settled));
     let solved = &settled.last;
     let frames = 0..walk.frames.len();
     let contradicted_share = tracks.contradicted_share(&solved.estimate, frames, config);
@@ -247,14 +237,16 @@ fn less_sure(
     less_sure
 }
 
-/// Looks for places that the walk came back to.
-fn look_again(
+/// Looks for places that the walk came back to, and solves all with those loops closed that then fit.
+fn finish_closed(
     walk: &TrackedWalk,
     inner: &Walk,
-    settled: &Settled,
+    tracks: &Tracks,
+    mut extension: Extension<'_>,
     config: &MotionConfig,
     progress: ProgressFn<'_>,
-) -> Result<Result<Closed, Revisits>, Error> {
+) -> Result<(Settled, Revisits), Error> {
+    let settled = &extension.roughly(&config.adjustment, progress)?;
     let mut frames: Vec<usize> = walk.views.iter().map(|v| v.frame).collect();
     frames.dedup();
     let imu = ImuRefinement::of(inner, &settled.last, &config.adjustment)?;
@@ -270,7 +262,21 @@ fn look_again(
         config: &config.revisits,
         adjustment: &config.adjustment,
     };
-    close(&before, progress)
+    let mut loops = ClosedLoops::find(&before, progress)?;
+    loop {
+        let joined;
+        let extension = match loops.bend(progress)? {
+            Some(bent) => {
+                joined = tracks.with(&bent.tracks);
+                extension.clone().closed(&joined, &bent.states)
+            }
+            None => extension.clone(),
+        };
+        let settled = extension.finish(&config.adjustment, progress)?;
+        if !loops.open_misfits(&settled) {
+            return Ok((settled, loops.revisits()));
+        }
+    }
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {

@@ -118,6 +118,9 @@ pub struct Revisits {
     pub recognised: u64,
     /// Loops that are closed: recognised, confirmed by another, in agreement with all of them, and the best of those close by.
     pub closed: u64,
+    /// Loops that were closed and opened again: all solved, walk and loop did not fit.
+    #[serde(default)]
+    pub opened: u64,
     /// How far a pose was moved by closing them at most, metres.
     pub moved_m: f64,
     /// How far a closed loop is from what its images say at most in the end, in standard deviations (a norm over six numbers).
@@ -125,35 +128,39 @@ pub struct Revisits {
 }
 
 impl Revisits {
-    /// Whether what is closed fits.
-    pub fn fit(&self) -> bool {
-        self.worst_sigmas * self.worst_sigmas <= loops::CHI_SQUARED
-    }
-
     /// What is said of it; nothing where no images were kept.
     pub(super) fn finding(&self) -> Option<Finding> {
         let Self {
             places,
             recognised,
             closed,
+            opened,
             ..
         } = self;
+        let opened = match opened {
+            0 => String::new(),
+            _ => format!("; {opened} more did not fit once all was solved, and are open"),
+        };
         let said = match closed {
             0 => format!(
-                "of {places} places none is known to be one that was seen before: drift grows with the way"
+                "of {places} places none is known to be one that was seen before: drift grows with the way{opened}"
             ),
             _ => format!(
-                "{recognised} of {places} places were seen before; {closed} loops are closed, which moved poses by up to {:.1} cm",
+                "{recognised} of {places} places were seen before; {closed} loops are closed, which moved poses by up to {:.1} cm{opened}",
                 self.moved_m * 1e2
             ),
         };
-        let limit = loops::CHI_SQUARED.sqrt();
         (*places > 0).then(|| {
-            Finding::new("revisits", Verdict::Warn.unless(self.fit()), "trajectory", said)
-                .value(self.worst_sigmas, "σ")
-                .limit(Limit::AtMost(limit))
+            Finding::new("revisits", Verdict::Warn.unless(!self.is_contradicted()), "trajectory", said)
+                .value(self.opened as f64, "loops")
+                .limit(Limit::AtMost(0.0))
                 .remedy("places that look the same may have been taken for one: set revisits.view_secs to 0 and compare")
         })
+    }
+
+    /// Whether what is closed is contradicted by what looked the same as well.
+    pub fn is_contradicted(&self) -> bool {
+        self.closed > 0 && self.opened > 0
     }
 }
 
@@ -176,15 +183,25 @@ pub(super) fn check(walk: &TrackedWalk) -> Result<(), Error> {
     }
 }
 
+/// 99 % of squared norms of six standard normal numbers are below this: a loop beyond it is opened. True ones have come to 7 at most, and to
+/// open one of them costs little.
+const FITS: f64 = 16.811_894;
+
+/// Loops of a walk that are closed.
+pub(super) struct ClosedLoops<'a> {
+    before: &'a Before<'a>,
+    placed: PlacedViews,
+    keyframes: Vec<Keyframe>,
+    found: Vec<Found>,
+    revisits: Revisits,
+}
+
 /// A walk bent so that its loops close.
-pub(super) struct Closed {
+pub(super) struct Bent {
     /// State of each frame.
     pub states: Vec<FrameState>,
     /// What more than one visit saw.
     pub tracks: Vec<Vec<LocalObservation>>,
-    keyframes: Vec<Keyframe>,
-    loops: Vec<Measured>,
-    revisits: Revisits,
 }
 
 /// Walk, views and what was found so far.
@@ -198,76 +215,109 @@ pub(super) struct Before<'a> {
     pub adjustment: &'a GroundTruthConfig,
 }
 
-/// Looks for loops. Without any there is nothing to solve again, and what was looked at is told instead.
-pub(super) fn close(
-    before: &Before<'_>,
-    progress: ProgressFn<'_>,
-) -> Result<Result<Closed, Revisits>, Error> {
-    let placed = PlacedViews::new(before, progress)?;
-    let keyframes = placed.keyframes(before);
-    let mut revisits = Revisits {
-        places: keyframes.len() as u64,
-        ..Revisits::default()
-    };
-    let found = search(&placed, &keyframes, before, progress)?;
-    revisits.recognised = found.len() as u64;
-    let mut found = confirmed(found, &keyframes);
-    if found.is_empty() {
-        return Ok(Err(revisits));
-    }
-    let measured: Vec<Measured> = found.iter().map(|f| f.measured).collect();
-    let mut fits = loops::fitting(&keyframes, &measured, progress)?.into_iter();
-    found.retain(|_| fits.next().unwrap_or(false));
-    let found = apart(found, &keyframes, before.config.loop_secs);
-    if found.is_empty() {
-        return Ok(Err(revisits));
-    }
-    let measured: Vec<Measured> = found.iter().map(|f| f.measured).collect();
-    let closed = loops::closed_poses(&keyframes, &measured, progress)?;
-    revisits.closed = found.len() as u64;
-    let moved = keyframes.iter().zip(&closed);
-    let moved_m = moved.map(|(k, now)| (k.world_from_rig.translation - now.translation).norm());
-    revisits.moved_m = moved_m.fold(0.0, f64::max);
-    let poses: Vec<StampedPose> = keyframes.iter().map(stamped).collect();
-    let frames = before.walk.frames.iter();
-    let states = frames.zip(&before.settled.last.estimate.states);
-    let states = states.map(|(frame, state)| {
-        let here = StampedPose {
-            time: frame.time,
-            world_from_rig: state.nav.world_from_rig,
-        };
-        let there = bent(&here, &poses, &closed);
-        let turned = there.rotation * here.world_from_rig.rotation.inverse();
-        FrameState {
-            nav: NavState {
-                world_from_rig: there,
-                velocity_m_s: turned * state.nav.velocity_m_s,
-            },
-            bias: state.bias,
+impl<'a> ClosedLoops<'a> {
+    /// Looks for loops.
+    pub fn find(before: &'a Before<'a>, progress: ProgressFn<'_>) -> Result<Self, Error> {
+        let placed = PlacedViews::new(before, progress)?;
+        let keyframes = placed.keyframes(before);
+        let recognised = search(&placed, &keyframes, before, progress)?;
+        let mut found = recognised.confirmed;
+        if !found.is_empty() {
+            let mut fits = loops::fitting(&keyframes, &measured(&found), progress)?.into_iter();
+            found.retain(|_| fits.next().unwrap_or(false));
         }
-    });
-    Ok(Ok(Closed {
-        states: states.collect(),
-        tracks: joined(&placed, &before.tracked.views, &found),
-        keyframes,
-        loops: measured,
-        revisits,
-    }))
+        let found = apart(found, &keyframes, before.config.loop_secs);
+        let revisits = Revisits {
+            places: keyframes.len() as u64,
+            recognised: recognised.count as u64,
+            closed: found.len() as u64,
+            ..Revisits::default()
+        };
+        Ok(Self {
+            before,
+            placed,
+            keyframes,
+            found,
+            revisits,
+        })
+    }
+
+    /// The walk bent to what the loops say; `None` without any.
+    pub fn bend(&mut self, progress: ProgressFn<'_>) -> Result<Option<Bent>, Error> {
+        if self.found.is_empty() {
+            return Ok(None);
+        }
+        let (before, keyframes) = (self.before, &self.keyframes);
+        let closed = loops::closed_poses(keyframes, &measured(&self.found), progress)?;
+        let moved = keyframes.iter().zip(&closed);
+        let moved_m = moved.map(|(k, now)| (k.world_from_rig.translation - now.translation).norm());
+        self.revisits.moved_m = moved_m.fold(0.0, f64::max);
+        let poses: Vec<StampedPose> = keyframes.iter().map(stamped).collect();
+        let frames = before.walk.frames.iter();
+        let states = frames.zip(&before.settled.last.estimate.states);
+        let states = states.map(|(frame, state)| {
+            let here = StampedPose {
+                time: frame.time,
+                world_from_rig: state.nav.world_from_rig,
+            };
+            let there = bent(&here, &poses, &closed);
+            let turned = there.rotation * here.world_from_rig.rotation.inverse();
+            FrameState {
+                nav: NavState {
+                    world_from_rig: there,
+                    velocity_m_s: turned * state.nav.velocity_m_s,
+                },
+                bias: state.bias,
+            }
+        });
+        Ok(Some(Bent {
+            states: states.collect(),
+            tracks: joined(&self.placed, &before.tracked.views, &self.found),
+        }))
+    }
+
+    /// Opens the loops that the walk, solved with them, is farther from than their images say. Whether there were any: then it is to be
+    /// solved again, without them.
+    pub fn open_misfits(&mut self, solved: &Settled) -> bool {
+        let pose = |k: usize| solved.last.estimate.pose(self.keyframes[k].scan);
+        let mut worst = 0.0_f64;
+        self.found.retain(|f| {
+            let Measured {
+                earlier,
+                later,
+                loop_,
+            } = &f.measured;
+            let squared = loops::squared_sigmas(pose(*earlier), pose(*later), loop_);
+            let fits = squared <= FITS;
+            if fits {
+                worst = worst.max(squared);
+            }
+            fits
+        });
+        let kept = self.found.len() as u64;
+        let opened = self.revisits.closed - kept;
+        self.revisits = Revisits {
+            closed: kept,
+            opened: self.revisits.opened + opened,
+            moved_m: if kept == 0 {
+                0.0
+            } else {
+                self.revisits.moved_m
+            },
+            worst_sigmas: worst.sqrt(),
+            ..self.revisits
+        };
+        opened > 0
+    }
+
+    /// What is said of the loops once all is solved.
+    pub fn revisits(&self) -> Revisits {
+        self.revisits
+    }
 }
 
-impl Closed {
-    /// What is said of the loops once all is solved.
-    pub fn revisits(&self, solved: &Settled) -> Revisits {
-        let pose = |k: usize| solved.last.estimate.pose(self.keyframes[k].scan);
-        let squared = self
-            .loops
-            .iter()
-            .map(|l| loops::squared_sigmas(pose(l.earlier), pose(l.later), &l.loop_));
-        Revisits {
-            worst_sigmas: squared.fold(0.0, f64::max).sqrt(),
-            ..self.revisits
-        }
-    }
+fn measured(found: &[Found]) -> Vec<Measured> {
+    found.iter().map(|f| f.measured).collect()
 }
 
 fn stamped(keyframe: &Keyframe) -> StampedPose {
@@ -275,18 +325,6 @@ fn stamped(keyframe: &Keyframe) -> StampedPose {
         time: keyframe.time,
         world_from_rig: keyframe.world_from_rig,
     }
-}
-
-/// Loops that another one says as well.
-fn confirmed(mut found: Vec<Found>, keyframes: &[Keyframe]) -> Vec<Found> {
-    let all: Vec<Measured> = found.iter().map(|f| f.measured).collect();
-    let mut numbers = 0..all.len();
-    found.retain(|f| {
-        let own = numbers.next();
-        let mut others = all.iter().enumerate().filter(|(k, _)| Some(*k) != own);
-        others.any(|(_, other)| loops::agree(&f.measured, other, keyframes))
-    });
-    found
 }
 
 /// Of loops whose later visits are close to one another those with most pairs; in order of time.

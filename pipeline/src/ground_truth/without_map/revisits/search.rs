@@ -16,7 +16,7 @@ use crate::localization::{
     ExpectedPose, MountedCamera, PointMatch, PoseKnowledge, RansacConfig, VerifiedPose,
     verified_pose,
 };
-use crate::loops::{CHI_SQUARED, Keyframe, Measured, MeasuredLoop, Way, Ways};
+use crate::loops::{CHI_SQUARED, Keyframe, Measured, MeasuredLoop, Way, Ways, agree};
 use crate::vlad::Vlad;
 use crate::worst_sigma::worst_sigmas;
 
@@ -60,17 +60,24 @@ struct Search<'a> {
     /// Numbers of the tracks that each place sees.
     tracks: Vec<BTreeSet<u32>>,
     vlads: Vec<Vlad>,
-    ways: Ways,
     cameras: Vec<MountedCamera>,
 }
 
-/// For each place that was seen before the loop that most speaks for, in order of time.
+/// What was recognised.
+pub(super) struct Recognised {
+    /// Places that were seen before, by more than chance.
+    pub count: usize,
+    /// Of their loops those that another one says as well, in order of time.
+    pub confirmed: Vec<Found>,
+}
+
+/// For each place that was seen before the loop that most speaks for.
 pub(super) fn search(
     placed: &PlacedViews,
     keyframes: &[Keyframe],
     before: &Before<'_>,
     progress: ProgressFn<'_>,
-) -> Result<Vec<Found>, Error> {
+) -> Result<Recognised, Error> {
     let codebook = before.config.read_codebook()?;
     let views = before.tracked.views.par_iter();
     let tracks_in = |frame: usize| {
@@ -86,7 +93,6 @@ pub(super) fn search(
         vlads: views
             .map(|v| codebook.describe(&v.features.descriptors))
             .collect(),
-        ways: Ways::new(keyframes),
         cameras: cameras
             .map(|camera| MountedCamera {
                 camera: *camera.camera(),
@@ -95,29 +101,97 @@ pub(super) fn search(
             })
             .collect(),
     };
-    let (done, total) = (AtomicU64::new(0), keyframes.len() as u64);
-    let found: Result<Vec<Option<Found>>, Error> = (0..keyframes.len())
-        .into_par_iter()
-        .map(|later| {
-            progress(Progress {
-                stage: "places seen again",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total,
-            })?;
-            Ok(search.look_from(later))
-        })
+    let mut found = search.look_from_all(progress)?;
+    let count = found.iter().flatten().count();
+    let confirmed = confirmed_of(&found, keyframes).into_iter();
+    let confirmed: Vec<usize> = confirmed.map(|(later, _)| later).collect();
+    let confirmed = confirmed.into_iter();
+    Ok(Recognised {
+        count,
+        confirmed: confirmed.filter_map(|later| found[later].take()).collect(),
+    })
+}
+
+/// Loops that another one says as well, each with the place that it was found from.
+fn confirmed_of<'a>(found: &'a [Option<Found>], keyframes: &[Keyframe]) -> Vec<(usize, &'a Found)> {
+    let all: Vec<(usize, &Found)> = found
+        .iter()
+        .enumerate()
+        .filter_map(|(later, f)| Some((later, f.as_ref()?)))
         .collect();
-    Ok(found?.into_iter().flatten().collect())
+    let is_confirmed = |(later, own): &(usize, &Found)| {
+        let mut others = all.iter().filter(|(other, _)| other != later);
+        others.any(|(_, other)| agree(&own.measured, &other.measured, keyframes))
+    };
+    all.iter().copied().filter(is_confirmed).collect()
+}
+
+/// What a look from one place gives.
+struct Look {
+    found: Option<Found>,
+    /// Whether the way to one that looks like it was too long to tell.
+    is_too_far: bool,
 }
 
 impl Search<'_> {
+    /// The loop of each place, if it has one. Those that are confirmed are shorter ways to all that lies beyond them: places from which the
+    /// way was too long are looked at again then.
+    fn look_from_all(&self, progress: ProgressFn<'_>) -> Result<Vec<Option<Found>>, Error> {
+        let keyframes = self.keyframes;
+        let mut found: Vec<Option<Found>> = keyframes.iter().map(|_| None).collect();
+        let mut open: Vec<usize> = (0..keyframes.len()).collect();
+        let mut ways = Ways::new(keyframes);
+        let mut confirmed = 0;
+        loop {
+            let (done, total) = (AtomicU64::new(0), open.len() as u64);
+            let looks: Result<Vec<Look>, Error> = open
+                .par_iter()
+                .map(|later| {
+                    progress(Progress {
+                        stage: "places seen again",
+                        done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                        total,
+                    })?;
+                    Ok(self.look_from(*later, &ways))
+                })
+                .collect();
+            let mut too_far = Vec::new();
+            for (later, look) in open.into_iter().zip(looks?) {
+                found[later] = look.found;
+                if found[later].is_none() && look.is_too_far {
+                    too_far.push(later);
+                }
+            }
+            let now = confirmed_of(&found, keyframes);
+            if now.len() == confirmed || too_far.is_empty() {
+                return Ok(found);
+            }
+            (open, confirmed) = (too_far, now.len());
+            ways = Ways::new(keyframes);
+            for (_, f) in now {
+                ways.accept(&f.measured);
+            }
+        }
+    }
+
     /// The loop with most pairs; none where others lead to another pose: of places that are the same any may be meant.
-    fn look_from(&self, later: usize) -> Option<Found> {
-        let ways = self.ways.to(later);
-        let candidates = self.candidates(later).into_iter();
-        let mut found: Vec<Found> = candidates
-            .filter_map(|earlier| self.verify(earlier, later, ways[earlier].as_ref()?))
-            .collect();
+    fn look_from(&self, later: usize, ways: &Ways) -> Look {
+        let ways = ways.to(later);
+        let (mut found, mut is_too_far) = (Vec::new(), false);
+        for earlier in self.candidates(later) {
+            let Some(way) = &ways[earlier] else { continue };
+            match self.is_within_reach(way) {
+                true => found.extend(self.verify(earlier, later, way)),
+                false => is_too_far = true,
+            }
+        }
+        Look {
+            found: self.best_of(found),
+            is_too_far,
+        }
+    }
+
+    fn best_of(&self, mut found: Vec<Found>) -> Option<Found> {
         // Of equals the one that looks most alike.
         let most = (0..found.len()).rev().max_by_key(|k| found[*k].inliers())?;
         let best = found.swap_remove(most);
@@ -130,6 +204,12 @@ impl Search<'_> {
             off.translation.norm() > RIVAL_M || off.rotation.angle() > RIVAL_RAD
         };
         (!found.iter().any(is_rival)).then_some(best)
+    }
+
+    /// Whether what looks alike at the end of a way is the same: what is built alike is farther away than the walk can have drifted.
+    fn is_within_reach(&self, way: &Way) -> bool {
+        let [_, open_m] = worst_sigmas(&opened(&way.covariance));
+        SIGMAS * open_m <= self.before.config.max_open_m
     }
 
     /// Earlier places that look like this one and are another visit, the most alike first.
@@ -170,10 +250,6 @@ impl Search<'_> {
     /// The pose of the later visit on the earlier by what both see, if more of it agrees than chance gives.
     fn verify(&self, earlier: usize, later: usize, way: &Way) -> Option<Found> {
         let covariance = opened(&way.covariance);
-        let [_, open_m] = worst_sigmas(&covariance);
-        if SIGMAS * open_m > self.before.config.max_open_m {
-            return None;
-        }
         let around = self.points_around(earlier, later);
         let (points, sources): (Vec<usize>, Vec<(usize, u32)>) = around.into_iter().unzip();
         let descriptors: Vec<_> = sources
