@@ -378,6 +378,14 @@ pub enum Error {
         /// Fewest that must be found.
         needed: usize,
     },
+    /// A walk that another one is to be solved together with is refused by itself.
+    #[error("{path}, which is to be solved together with it: {error}", path = path.display())]
+    OtherWalk {
+        /// Its recording.
+        path: PathBuf,
+        /// Why.
+        error: Box<Error>,
+    },
     /// Places found in the map contradict the IMU and one another.
     #[error(
         "{path}: {rejected} of {localized} places found in the map contradict the IMU: is it the map of this place, and do cameras and IMU of the rig file belong to this device?", path = path.display()

@@ -294,6 +294,22 @@ fn a_walk_that_never_sees_the_map() {
 }
 
 #[test]
+fn a_walk_that_cannot_be_solved_together_with_another() {
+    let folder = with(&["walk.mcap", "elsewhere.mcap", "map", "scan.tum"]);
+    for (other, words) in [
+        ("./walk.mcap", ["./walk.mcap", "--with takes other walks"]),
+        (
+            "elsewhere.mcap",
+            ["elsewhere.mcap", "solved together with it"],
+        ),
+    ] {
+        let line = format!("groundtruth walk.mcap --with {other} --map map --out scan.tum");
+        let arguments: Vec<&str> = line.split(' ').collect();
+        refused(folder.path(), &arguments, &words);
+    }
+}
+
+#[test]
 fn places_that_cannot_be_written() {
     let folder = with(&["scan.mcap", "scan.tum"]);
     let path = folder.path();

@@ -190,9 +190,22 @@ fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
         &["groundtruth", walk, "--map", "map", "--out", estimate],
         0,
     );
-    let judged = json(folder, &["eval", estimate, "--truth", &text(truth)], 0);
-    let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
-    assert!(rms_m.is_some_and(|rms_m| rms_m <= 0.03), "{judged}");
+    let judged = |estimate: &str| {
+        let judged = json(folder, &["eval", estimate, "--truth", &text(truth)], 0);
+        let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
+        assert!(rms_m.is_some_and(|rms_m| rms_m <= 0.03), "{judged}");
+    };
+    judged(estimate);
+    let line = format!("groundtruth {walk} --with walk.mcap --map map --out both.tum");
+    let both = json(folder, &line.split(' ').collect::<Vec<_>>(), 0);
+    let together = &both["together"];
+    assert_eq!(together["others"], 1, "{both}");
+    let common = |of: &str| together[of].as_u64();
+    assert!(
+        common("map_points") > Some(50) && common("common_points") > Some(20),
+        "{both}"
+    );
+    judged("both.tum");
 }
 
 /// For who reads ROS: the same poses at the images, with covariances, and at the IMU's rate.

@@ -6,6 +6,7 @@ use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
+use super::together::Together;
 
 /// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
 const USUAL_OF_ABSENT: f64 = 0.75;
@@ -312,6 +313,7 @@ impl GroundTruthReport {
         ];
         findings.extend(self.imu.iter().flat_map(ImuRefinement::findings));
         findings.extend(self.map.iter().flat_map(MapAgreement::findings));
+        findings.extend(self.together.iter().map(Together::finding));
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings

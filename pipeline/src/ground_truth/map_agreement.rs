@@ -117,11 +117,11 @@ fn scale(
     used: &GroundTruthConfig,
 ) -> Result<Option<MapScale>, Error> {
     let mut adjustment = Adjustment::of(walk, &solved.estimate, &solved.points, None, used)?;
-    let Some(inertial) = adjustment.inertial else {
+    let Some(inertial) = adjustment.blocks.inertial else {
         return Ok(None);
     };
     // A point whose distance is open, of somebody who stands, says nothing, and undetermines nothing.
-    for (point, block) in solved.points.iter().zip(&adjustment.points) {
+    for (point, block) in solved.points.iter().zip(&adjustment.blocks.points) {
         if let Some(block) = block {
             let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(POINT_SIGMA_M));
             let squared = Kernel::Squared;

@@ -39,6 +39,7 @@ mod report;
 mod run;
 mod settling;
 mod start;
+mod together;
 mod trusted;
 mod uncertainty;
 mod walk;
@@ -63,7 +64,8 @@ pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
     Span,
 };
-pub use run::{ground_truth, ground_truth_in_stages, ground_truth_of};
+pub use run::{ground_truth, ground_truth_in_stages, ground_truth_of, ground_truth_together};
+pub use together::Together;
 pub use without_map::{
     Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, RevisitConfig,
     Revisits, Sight, TrackedFrame, TrackedWalk, WalkView, motion_of_recording,
@@ -120,6 +122,7 @@ pub struct LocalizedInstant {
 }
 
 /// A solved walk.
+#[derive(Clone)]
 struct Solved {
     last: Optimized,
     /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.

@@ -1,6 +1,6 @@
 //! The batch problem of eq. (5) over all frames.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::{Matrix3, Matrix6, Vector3};
 use lsfb_solver::{Block, Kernel, PosePrior, Problem, Report, VectorPrior};
@@ -17,6 +17,7 @@ use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReproject
 use crate::solve::solve_until_converged;
 
 /// What was found, and local points after a solve.
+#[derive(Clone)]
 pub(super) struct Optimized {
     pub estimate: Estimate,
     pub points: Vec<LocalPoint>,
@@ -103,14 +104,7 @@ impl Anchor {
 /// The problem of eq. (5) at an estimate.
 pub(super) struct Adjustment {
     pub problem: Problem,
-    /// One for each camera.
-    pub corrections: Vec<Block<CameraCorrection>>,
-    /// One for each frame.
-    pub states: Vec<StateBlocks>,
-    /// Beside the points; `None` for one that nothing determines.
-    pub points: Vec<Option<Block<Vector3<f64>>>>,
-    /// `None` without frames.
-    pub inertial: Option<InertialBlocks>,
+    pub blocks: WalkBlocks,
 }
 
 impl Adjustment {
@@ -124,10 +118,68 @@ impl Adjustment {
         anchor: Option<&Anchor>,
         config: &GroundTruthConfig,
     ) -> Result<Self, Error> {
+        let mut problem = Problem::new();
+        let part = Part {
+            walk,
+            before,
+            points,
+            anchor,
+            config,
+            shared: &SharedPoints::default(),
+        };
+        Ok(Self {
+            blocks: part.add(&mut problem)?,
+            problem,
+        })
+    }
+}
+
+/// What one walk adds to a problem.
+pub(super) struct Part<'a> {
+    pub walk: &'a Walk,
+    pub before: &'a Estimate,
+    pub points: &'a [LocalPoint],
+    pub anchor: Option<&'a Anchor>,
+    pub config: &'a GroundTruthConfig,
+    /// Blocks of what other walks see too.
+    pub shared: &'a SharedPoints,
+}
+
+/// Blocks of points that several walks see.
+#[derive(Clone, Default)]
+pub(super) struct SharedPoints {
+    /// Of the map's, by their number there: they are free, and what the map says of them is known beforehand.
+    pub of_map: BTreeMap<u32, Block<Vector3<f64>>>,
+    /// Of local ones, by their index among the walk's.
+    pub local: BTreeMap<usize, Block<Vector3<f64>>>,
+}
+
+/// Blocks of a walk in a problem.
+pub(super) struct WalkBlocks {
+    /// One for each camera.
+    pub corrections: Vec<Block<CameraCorrection>>,
+    /// One for each frame.
+    pub states: Vec<StateBlocks>,
+    /// Beside the points; `None` for one that nothing determines.
+    pub points: Vec<Option<Block<Vector3<f64>>>>,
+    /// `None` without frames.
+    pub inertial: Option<InertialBlocks>,
+}
+
+impl Part<'_> {
+    /// As [`Adjustment::of`] has it.
+    pub fn add(&self, problem: &mut Problem) -> Result<WalkBlocks, Error> {
+        let Self {
+            walk,
+            before,
+            points,
+            anchor,
+            config,
+            shared,
+        } = self;
         let kernel = Kernel::Cauchy {
             scale: config.kernel_scale,
         };
-        let mut problem = Problem::new();
         let corrections = before
             .corrections
             .iter()
@@ -143,10 +195,21 @@ impl Adjustment {
         let states: Vec<StateBlocks> = before
             .states
             .iter()
-            .map(|state| StateBlocks::add(&mut problem, state))
+            .map(|state| StateBlocks::add(problem, state))
             .collect();
         for (k, (frame, state)) in walk.frames.iter().zip(&states).enumerate() {
             for seen in &frame.fixed {
+                let (pose, correction) = (state.pose.id(), corrections[seen.camera].id());
+                if let Some(point) = shared.of_map.get(&seen.point) {
+                    let residual = MovingReprojection {
+                        camera: walk.cameras[seen.camera].clone(),
+                        motion: before.motions[k],
+                        pixel: seen.pixel,
+                        sigma_px: config.local_sigma_px,
+                    };
+                    problem.add_residual(residual, &[pose, correction, point.id()], kernel)?;
+                    continue;
+                }
                 let residual = FixedPointReprojection {
                     camera: walk.cameras[seen.camera].clone(),
                     motion: before.motions[k],
@@ -154,17 +217,19 @@ impl Adjustment {
                     pixel: seen.pixel,
                     sigma_px: config.map_sigma_px,
                 };
-                let blocks = [state.pose.id(), corrections[seen.camera].id()];
-                problem.add_residual(residual, &blocks, kernel)?;
+                problem.add_residual(residual, &[pose, correction], kernel)?;
             }
         }
         let mut point_blocks = Vec::with_capacity(points.len());
-        for point in points {
+        for (index, point) in points.iter().enumerate() {
             if !point.is_determined() {
                 point_blocks.push(None);
                 continue;
             }
-            let block = problem.add_eliminated_point(point.point_in_world);
+            let block = match shared.local.get(&index) {
+                Some(block) => *block,
+                None => problem.add_eliminated_point(point.point_in_world),
+            };
             point_blocks.push(Some(block));
             for seen in point.observations.iter().filter(|seen| seen.used) {
                 let residual = MovingReprojection {
@@ -181,17 +246,46 @@ impl Adjustment {
                 problem.add_residual(residual, &blocks, kernel)?;
             }
         }
-        let inertial = add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
+        let inertial = add_inertial_residuals(problem, walk, 0, &states, config)?;
         if let Some(anchor) = anchor {
-            anchor.hold(&mut problem, &before.states, &states)?;
+            anchor.hold(problem, &before.states, &states)?;
         }
-        Ok(Self {
-            problem,
+        Ok(WalkBlocks {
             corrections,
             states,
             points: point_blocks,
             inertial,
         })
+    }
+}
+
+impl WalkBlocks {
+    /// What was found of the walk, and of its points.
+    pub fn read(
+        &self,
+        problem: &Problem,
+        walk: &Walk,
+        points: &[LocalPoint],
+        report: Report,
+    ) -> Optimized {
+        let estimate = Estimate::new(
+            walk,
+            self.states.iter().map(|b| b.read(problem)).collect(),
+            self.corrections.iter().map(|c| problem.value(*c)).collect(),
+        );
+        let beside = points.iter().zip(&self.points);
+        let moved = beside.map(|(point, block)| LocalPoint {
+            point_in_world: block.map_or(point.point_in_world, |b| problem.value(b)),
+            observations: point.observations.clone(),
+        });
+        let inertial = self.inertial;
+        Optimized {
+            estimate,
+            points: moved.collect(),
+            gravity_m_s2: inertial.map_or_else(standard_gravity_m_s2, |i| problem.value(i.gravity)),
+            imu_errors: inertial.map(|i| i.errors(problem)).unwrap_or_default(),
+            report,
+        }
     }
 }
 
@@ -206,30 +300,10 @@ pub(super) fn optimize(
 ) -> Result<Optimized, Error> {
     let Adjustment {
         mut problem,
-        corrections,
-        states,
-        points: blocks,
-        inertial,
+        blocks,
     } = Adjustment::of(walk, before, points, anchor, config)?;
     let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
-    Ok(Optimized {
-        estimate: Estimate::new(
-            walk,
-            states.iter().map(|b| b.read(&problem)).collect(),
-            corrections.iter().map(|c| problem.value(*c)).collect(),
-        ),
-        points: points
-            .iter()
-            .zip(blocks)
-            .map(|(point, block)| LocalPoint {
-                point_in_world: block.map_or(point.point_in_world, |b| problem.value(b)),
-                observations: point.observations.clone(),
-            })
-            .collect(),
-        gravity_m_s2: inertial.map_or_else(standard_gravity_m_s2, |i| problem.value(i.gravity)),
-        imu_errors: inertial.map(|i| i.errors(&problem)).unwrap_or_default(),
-        report,
-    })
+    Ok(blocks.read(&problem, walk, points, report))
 }
 
 /// Uses of what was recognised and followed that which now lies within the gate of where it should be, whether it was used

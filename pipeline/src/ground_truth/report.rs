@@ -7,6 +7,7 @@ use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
 use super::other_place::OtherPlace;
+use super::together::Together;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -164,6 +165,9 @@ pub struct GroundTruthReport {
     pub imu: Option<ImuRefinement>,
     /// What the IMU says of the map's size and vertical.
     pub map: Option<MapAgreement>,
+    /// What other walks did to it that were solved together with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub together: Option<Together>,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.

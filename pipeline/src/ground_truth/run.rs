@@ -21,6 +21,7 @@ use super::recorded_walk::RecordedWalk;
 use super::refusal::Judged;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
+use super::together::{Member, Together, solve_together};
 use super::trusted::{Solution, Trusted, trusted};
 use super::uncertainty::uncertainty;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
@@ -29,7 +30,7 @@ use super::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, Solved, solve_walk,
 };
 use crate::Error;
-use crate::features::Feature;
+use crate::features::{Feature, Features};
 use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
 use crate::kept_stages::KeptStages;
@@ -44,6 +45,13 @@ fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Resu
         });
     }
     map.expect_feature(feature)
+}
+
+fn wanted_feature(config: &GroundTruthConfig) -> Feature {
+    match &config.learned {
+        Some(learned) => Feature::Learned(learned.feature.clone()),
+        None => Feature::Sift,
+    }
 }
 
 /// Where the device was at each of its images, in the world of the map.
@@ -69,12 +77,8 @@ pub fn ground_truth_in_stages(
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
     config.check_bounds("ground_truth")?;
-    let wanted = match &config.learned {
-        Some(learned) => Feature::Learned(learned.feature.clone()),
-        None => Feature::Sift,
-    };
     // Before images are read: that takes a while.
-    check_map(map, &wanted, config)?;
+    check_map(map, &wanted_feature(config), config)?;
     let recorded = RecordedWalk::read_in_stages(recording, config, stages, progress)?;
     solve_in_map(&recorded, map, config, stages, progress)
 }
@@ -91,6 +95,126 @@ pub fn ground_truth_of(
     solve_in_map(recorded, map, config, &KeptStages::none(), progress)
 }
 
+/// The walk of `first` in the map, solved together with other walks through it: what both see beside the map's points holds them together. Each is
+/// solved and judged by itself before.
+///
+/// As [`ground_truth`]; [`Error::OtherWalk`] where one of the others is refused.
+pub fn ground_truth_together(
+    first: &Recording,
+    others: &[&Recording],
+    map: &HdMap,
+    config: &GroundTruthConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<GroundTruth, Error> {
+    config.check_bounds("ground_truth")?;
+    check_map(map, &wanted_feature(config), config)?;
+    let localizer = Localizer::new(map, &config.localization)?.without_twins();
+    let mut own = AloneInMap::solve(first, &localizer, config, stages, progress)?;
+    let none = KeptStages::none();
+    let others = others.iter().map(|other| {
+        let solved = AloneInMap::solve(other, &localizer, config, &none, progress);
+        solved.map_err(|error| match error {
+            stopped @ Error::Stopped(_) => stopped,
+            error => Error::OtherWalk {
+                path: other.path().to_owned(),
+                error: Box::new(error),
+            },
+        })
+    });
+    let mut others: Vec<AloneInMap> = others.collect::<Result<_, Error>>()?;
+    let all = std::iter::once(&mut own).chain(&mut others);
+    let mut members: Vec<Member> = all.map(AloneInMap::member).collect();
+    let said = solve_together(&mut members, config, progress)?;
+    own.begun.together = said.first().copied();
+    own.judge_again(&localizer, config, progress)
+}
+
+/// A walk that is right by itself.
+struct AloneInMap {
+    recorded: RecordedWalk,
+    was_looked_up: Vec<bool>,
+    begun: Begun,
+    given: GroundTruth,
+}
+
+impl AloneInMap {
+    fn solve(
+        recording: &Recording,
+        localizer: &Localizer,
+        config: &GroundTruthConfig,
+        stages: &KeptStages,
+        progress: ProgressFn<'_>,
+    ) -> Result<Self, Error> {
+        let recorded = RecordedWalk::read_in_stages(recording, config, stages, progress)?;
+        let (was_looked_up, localized) = look_up(&recorded, localizer, config, stages, progress)?;
+        let attempt = Attempt {
+            recorded: &recorded,
+            localizer,
+            was_looked_up: &was_looked_up,
+            config,
+            progress,
+        };
+        let begun = attempt.begin(&localized)?;
+        let given = attempt.judge(begun.clone(), Elsewhere::IsRefused);
+        Ok(Self {
+            given: given.map_err(|refused| refused.error)?,
+            begun,
+            was_looked_up,
+            recorded,
+        })
+    }
+
+    fn member(&mut self) -> Member<'_> {
+        Member {
+            walk: &mut self.begun.walk,
+            features: &self.begun.features,
+            solved: &mut self.begun.solved,
+            given: &self.given.trajectory,
+            covariances: &self.given.covariances,
+        }
+    }
+
+    fn judge_again(
+        self,
+        localizer: &Localizer,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<GroundTruth, Error> {
+        let attempt = Attempt {
+            recorded: &self.recorded,
+            localizer,
+            was_looked_up: &self.was_looked_up,
+            config,
+            progress,
+        };
+        let judged = attempt.judge(self.begun, Elsewhere::IsRefused);
+        judged.map_err(|refused| refused.error)
+    }
+}
+
+/// Which frames were looked up in the map on their own, and where they were found.
+fn look_up(
+    recorded: &RecordedWalk,
+    localizer: &Localizer,
+    config: &GroundTruthConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<(Vec<bool>, Vec<Option<Localization>>), Error> {
+    let (frames, apart_secs) = (&recorded.read.frames, config.localize_every_secs);
+    let found = localize_frames_apart(
+        localizer,
+        frames,
+        &recorded.rig,
+        apart_secs,
+        stages,
+        progress,
+    )?;
+    let was_looked_up = found.iter().map(Option::is_some).collect();
+    let localized = found.into_iter().map(|found| found?.ok()).collect();
+    Ok((was_looked_up, localized))
+}
+
 fn solve_in_map(
     recorded: &RecordedWalk,
     map: &HdMap,
@@ -101,12 +225,7 @@ fn solve_in_map(
     let RecordedWalk { rig, read, .. } = recorded;
     // Whether there is another place that looks alike is asked of the whole walk.
     let localizer = Localizer::new(map, &config.localization)?.without_twins();
-    let apart_secs = config.localize_every_secs;
-    let looked_up =
-        localize_frames_apart(&localizer, &read.frames, rig, apart_secs, stages, progress)?;
-    let was_looked_up: Vec<bool> = looked_up.iter().map(Option::is_some).collect();
-    let localized: Vec<Option<Localization>> =
-        looked_up.into_iter().map(|found| found?.ok()).collect();
+    let (was_looked_up, localized) = look_up(recorded, &localizer, config, stages, progress)?;
     let attempt = Attempt {
         recorded,
         localizer: &localizer,
@@ -180,6 +299,22 @@ enum Elsewhere {
     IsRefused,
 }
 
+/// A walk that was solved, and not judged yet.
+#[derive(Clone)]
+struct Begun {
+    /// Of the recording's frames those that are solved.
+    range: Range<usize>,
+    /// Frames that were found in the map.
+    localized: usize,
+    walk: Walk,
+    /// Numbered `frame * cameras + camera`.
+    features: Vec<Features>,
+    start: Start,
+    solved: Solved,
+    /// What other walks did to it.
+    together: Option<Together>,
+}
+
 /// What a walk is solved with, wherever its images were found.
 struct Attempt<'a> {
     recorded: &'a RecordedWalk,
@@ -195,6 +330,11 @@ impl Attempt<'_> {
         localized: &[Option<Localization>],
         elsewhere: Elsewhere,
     ) -> Result<GroundTruth, Refused> {
+        self.judge(self.begin(localized)?, elsewhere)
+    }
+
+    /// Solves the walk where its images were found.
+    fn begin(&self, localized: &[Option<Localization>]) -> Result<Begun, Error> {
         let Self {
             recorded,
             localizer,
@@ -206,17 +346,14 @@ impl Attempt<'_> {
             path, rig, read, ..
         } = recorded;
         let map = localizer.map();
-        let tried =
-            |range: Range<usize>| self.was_looked_up[range].iter().filter(|is| **is).count();
         let count = localized.iter().flatten().count();
         if count < config.min_localized_frames {
             return Err(Error::NotLocalized {
                 path: path.clone(),
-                frames: tried(0..read.frames.len()),
+                frames: self.tried(0..read.frames.len()),
                 localized: count,
                 needed: config.min_localized_frames,
-            }
-            .into());
+            });
         }
 
         let range = frames_in_reach(&read.frames, localized, config);
@@ -246,6 +383,44 @@ impl Attempt<'_> {
             other => other,
         })?;
         let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
+        Ok(Begun {
+            range,
+            localized: count,
+            walk,
+            features,
+            start,
+            solved,
+            together: None,
+        })
+    }
+
+    /// How many of some frames were looked up in the map.
+    fn tried(&self, range: Range<usize>) -> usize {
+        self.was_looked_up[range].iter().filter(|is| **is).count()
+    }
+
+    /// Gives what may be believed of a walk that was solved.
+    fn judge(&self, begun: Begun, elsewhere: Elsewhere) -> Result<GroundTruth, Refused> {
+        let Self {
+            recorded,
+            localizer,
+            config,
+            progress,
+            ..
+        } = *self;
+        let RecordedWalk {
+            path, rig, read, ..
+        } = recorded;
+        let map = localizer.map();
+        let Begun {
+            range,
+            localized: count,
+            mut walk,
+            features,
+            start,
+            solved,
+            together,
+        } = begun;
         let (estimate, points) = (&solved.last.estimate, &solved.last.points);
         let used = &solved.config;
         let (imu, agreement) = if walk.has_imu() {
@@ -280,7 +455,7 @@ impl Attempt<'_> {
         let judged = Judged {
             path,
             walk: &walk,
-            looked_up: tried(range.clone()),
+            looked_up: self.tried(range.clone()),
             start: &start,
             imu: imu.as_ref(),
             trusted: &trusted,
@@ -343,7 +518,8 @@ impl Attempt<'_> {
         report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
         report.frames = read.frames.len() as u64;
         report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
-        report.looked_up = tried(0..read.frames.len()) as u64;
+        report.looked_up = self.tried(0..read.frames.len()) as u64;
+        report.together = together;
         report.localized = count as u64;
         report.other_place = other_place;
         report.rejected_localizations = (count - start.accepted_count) as u64;
@@ -501,6 +677,7 @@ fn report(
         cameras: Vec::new(),
         imu: None,
         map: None,
+        together: None,
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })

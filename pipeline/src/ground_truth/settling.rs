@@ -94,7 +94,7 @@ fn unrest(
 }
 
 /// Whether so few observations came or went that no pose feels it.
-fn is_few(changed: usize, solved: &Optimized) -> bool {
+pub(super) fn is_few(changed: usize, solved: &Optimized) -> bool {
     changed * SETTLED < solved.report.residuals
 }
 

@@ -162,6 +162,7 @@ mod tests {
     use lsfb_types::Timestamp;
 
     use super::*;
+    use crate::loops::MeasuredLoop;
 
     /// Back at the start after 40 m, a loop is the shorter way, and the better known.
     #[test]
@@ -189,7 +190,15 @@ mod tests {
         assert!(off.log().norm() < 1e-9);
         assert!((by_odometry.length_m - 40.0).abs() < 1e-9);
         let closed = Se3::exp(&Vector6::new(0.1, 0.0, 0.0, 0.5, 0.0, 0.0));
-        ways.close(0, 38, &closed, &(Matrix6::identity() * 1e-4));
+        ways.accept(&Measured {
+            earlier: 0,
+            later: 38,
+            loop_: MeasuredLoop {
+                earlier_from_later: closed,
+                rotation_sigma_rad: 0.01,
+                translation_sigma_m: 0.01,
+            },
+        });
         let by_loop = ways.to(40)[0].expect("a way");
         assert!((by_loop.length_m - 2.5).abs() < 1e-9);
         assert!(by_loop.covariance.trace() < 0.3 * by_odometry.covariance.trace());

@@ -7,9 +7,10 @@ use lsfb_eval::radio::read_table;
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::ground_truth::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth_in_stages,
+    ground_truth_together,
 };
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Provenance, read_tum, write_tum};
+use lsfb_recording::{Provenance, Recording, read_tum, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -59,12 +60,17 @@ use crate::standing;
 /// another floor than it seems). Whoever walked there before with a trajectory that is right can make a table of what is heard where
 /// (`lsfb dataset radio`): with --radio a walk that did not hear the same is refused, as one on another floor that looks alike.
 ///
+/// Walks that went by the same places can be solved together (--with): what two of them see beside the map's points is one point then, so that
+/// devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one that
+/// is refused then is refused here. Settings, and the weights of a map of learned features, are the same for all.
+///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
 /// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
 ///
 /// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum --out-report walk.html
+///   lsfb groundtruth phone.mcap --with glasses.mcap --map map --out phone.tum
 ///   lsfb groundtruth walk2.mcap --map map --radio radio.csv --out walk2.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -82,6 +88,10 @@ pub struct Arguments {
     /// there is none.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
+    /// Another walk through the map, of another device say, that is solved together with this one; may be given several times. Results are this
+    /// walk's.
+    #[arg(long, value_name = "MCAP")]
+    with: Vec<PathBuf>,
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -98,6 +108,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let config: GroundTruthConfig = super::config_or_default(arguments.config.as_deref())?;
     let job = WalkJob {
         recording: &arguments.recording,
+        others: &arguments.with,
         map: &arguments.map,
         out: &arguments.out,
         out_report: arguments.out_report.as_deref(),
@@ -105,9 +116,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         radio: arguments.radio.as_deref(),
         models: &arguments.models,
     };
-    let found = job.compute(context, |result| {
-        context.claim(result, &[&arguments.recording])
-    })?;
+    let mut read: Vec<&Path> = vec![&arguments.recording];
+    for other in &arguments.with {
+        if read.iter().any(|path| files::is_same(path, other)) {
+            anyhow::bail!(
+                "{}: --with takes other walks, each once: one with itself says nothing new",
+                other.display()
+            );
+        }
+        read.push(other);
+    }
+    let found = job.compute(context, |result| context.claim(result, &read))?;
     let r = &found.said.report;
     let judgement = Judgement::new(found.said.findings());
     context.print(
@@ -184,6 +203,8 @@ impl Said {
 /// A trajectory to be computed of a walk.
 pub struct WalkJob<'a> {
     pub recording: &'a Path,
+    /// Walks that are solved together with it.
+    pub others: &'a [PathBuf],
     pub map: &'a Path,
     pub out: &'a Path,
     /// A page about it.
@@ -212,13 +233,20 @@ impl WalkJob<'_> {
         let mut provenance = Provenance::new(&config);
         provenance.add_input(self.recording)?;
         provenance.add_rig(&super::about(self.recording, walk.rig())?);
+        let mut others = Vec::with_capacity(self.others.len());
+        for path in self.others {
+            let other = context.open(path)?;
+            provenance.add_input(path)?;
+            provenance.add_rig(&super::about(path, other.rig())?);
+            others.push(other);
+        }
         // The map's header has the hashes of its other files.
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
         let covariances = files::beside(self.out, "covariance");
         let cross_check = files::beside(self.out, "cross_check");
         let states = files::beside(self.out, "states").with_extension("csv");
         let motion = states.with_extension("mcap");
-        let others = self.radio.map(read_table).transpose()?;
+        let heard = self.radio.map(read_table).transpose()?;
         if let Some(table) = self.radio {
             provenance.add_input(table)?;
         }
@@ -239,10 +267,17 @@ impl WalkJob<'_> {
         claim(&states)?;
         claim(&motion)?;
         let stages = context.kept_stages(self.out, &provenance)?;
-        let found = ground_truth_in_stages(&walk, &hd_map, &config, &stages, &|p| context.show(p));
+        let show = |p| context.show(p);
+        let found = match &others[..] {
+            [] => ground_truth_in_stages(&walk, &hd_map, &config, &stages, &show),
+            others => {
+                let others: Vec<&Recording> = others.iter().collect();
+                ground_truth_together(&walk, &others, &hd_map, &config, &stages, &show)
+            }
+        };
         let found = super::about(self.recording, stages.kept_if_stopped(found))?;
         let surroundings =
-            Surroundings::of(&walk, &found, others.as_deref()).or_else(|refused| {
+            Surroundings::of(&walk, &found, heard.as_deref()).or_else(|refused| {
                 stages.remove()?;
                 Err(refused)
             })?;

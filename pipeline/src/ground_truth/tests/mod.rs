@@ -12,6 +12,7 @@ mod other_place;
 mod recorded;
 mod settling;
 mod standing;
+mod together;
 mod without_imu;
 
 use std::sync::Arc;
@@ -150,6 +151,9 @@ fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> M
     make_walk_with(map, local, seen_in_map, &CameraCorrection::zeros())
 }
 
+/// Seed of the points, and of what is wrong of everything in the first walk among them.
+const SEED: u64 = 11;
+
 /// How the rig truly moves around an instant.
 fn true_motion(t: f64) -> FrameMotion {
     let h = 1e-3;
@@ -171,12 +175,25 @@ fn make_walk_with(
     seen_in_map: impl Fn(usize) -> bool,
     off: &CameraCorrection,
 ) -> MadeUp {
-    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(11));
+    make_walk_of(SEED, (map, local), seen_in_map, off)
+}
+
+/// One of several walks among the same points.
+fn make_walk_of(
+    seed: u64,
+    (map, local): (usize, usize),
+    seen_in_map: impl Fn(usize) -> bool,
+    off: &CameraCorrection,
+) -> MadeUp {
+    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(SEED));
     let points = wall_points(map + local, &mut rng);
     let looks: Vec<[u8; DESCRIPTOR_LEN]> = points
         .iter()
         .map(|_| std::array::from_fn(|_| rng.0.random_range(0..140u8)))
         .collect();
+    if seed != SEED {
+        rng = Gauss(ChaCha8Rng::seed_from_u64(seed));
+    }
     let cameras = glasses();
     let real: Vec<_> = cameras.iter().map(|camera| camera.corrected(off)).collect();
     let mut features = Vec::new();

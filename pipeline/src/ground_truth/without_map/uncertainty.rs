@@ -64,7 +64,7 @@ pub(super) fn uncertainty(
     };
     let anchor = Some(&settled.anchor);
     let mut adjustment = Adjustment::of(walk, estimate, points, anchor, &as_shown)?;
-    for (point, block) in points.iter().zip(&adjustment.points) {
+    for (point, block) in points.iter().zip(&adjustment.blocks.points) {
         let Some(block) = block else { continue };
         let used = point.observations.iter().filter(|seen| seen.used);
         let away_m = used
@@ -77,8 +77,18 @@ pub(super) fn uncertainty(
             .problem
             .add_residual(prior, &[block.id()], squared)?;
     }
-    let poses: Vec<BlockId> = adjustment.states.iter().map(|s| s.pose.id()).collect();
-    let cameras: Vec<BlockId> = adjustment.corrections.iter().map(|c| c.id()).collect();
+    let poses: Vec<BlockId> = adjustment
+        .blocks
+        .states
+        .iter()
+        .map(|s| s.pose.id())
+        .collect();
+    let cameras: Vec<BlockId> = adjustment
+        .blocks
+        .corrections
+        .iter()
+        .map(|c| c.id())
+        .collect();
     let known = poses.get(reference..=reference).unwrap_or_default();
     let with_reference = |few: &[BlockId]| [known, few].concat();
     let wanted: Vec<BlockId> = frames.iter().map(|k| poses[*k]).collect();

@@ -151,6 +151,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
     let estimate = folder.join(format!("{}.tum", files::name_of(walk)));
     let job = WalkJob {
         recording: &walk.join("walk.mcap"),
+        others: &[],
         map: &place.join("map"),
         out: &estimate,
         out_report: None,

@@ -142,6 +142,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     watch.lap("mapping");
     let walk_job = WalkJob {
         recording: &files.walk,
+        others: &[],
         map: &files.map,
         out: &files.walk_trajectory,
         out_report: None,

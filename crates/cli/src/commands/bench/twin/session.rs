@@ -156,6 +156,7 @@ impl Session<'_> {
         let estimate = layout.file("walk.tum");
         let job = WalkJob {
             recording: &recording,
+            others: &[],
             map: &mapped.map,
             out: &estimate,
             out_report: None,

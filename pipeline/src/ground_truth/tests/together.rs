@@ -1,0 +1,121 @@
+//! Walks that are solved as one.
+
+use lsfb_geometry::StampedPose;
+
+use super::*;
+use crate::ground_truth::together::{Member, Together, solve_together};
+
+/// A walk by itself, and what would be given of it.
+struct Alone {
+    made: MadeUp,
+    solved: Solved,
+    given: Trajectory,
+    covariances: Vec<Matrix6<f64>>,
+}
+
+/// With few points of the map, by which each errs its own way.
+fn alone(seed: u64) -> Alone {
+    let off = CameraCorrection::zeros();
+    let mut made = make_walk_of(seed, (24, 300), |k| k % 3 == 0, &off);
+    let config = GroundTruthConfig::default();
+    let start = started(&made.walk, &config);
+    let solved = solve_walk(
+        &mut made.walk,
+        &start,
+        &made.features,
+        &config,
+        &no_progress,
+    );
+    let solved = solved.expect("solves");
+    let (estimate, points) = (&solved.last.estimate, &solved.last.points);
+    let found = uncertainty(&made.walk, estimate, points, &config, &no_progress);
+    let poses = made.walk.frames.iter().zip(&estimate.states);
+    let given = Trajectory::new(
+        poses
+            .map(|(frame, state)| StampedPose {
+                time: frame.time,
+                world_from_rig: state.nav.world_from_rig,
+            })
+            .collect(),
+    );
+    let covariances = found.expect("covariances").poses;
+    Alone {
+        covariances: covariances.into_iter().map(|c| c.expect("known")).collect(),
+        made,
+        solved,
+        given,
+    }
+}
+
+fn member(alone: &mut Alone) -> Member<'_> {
+    Member {
+        walk: &mut alone.made.walk,
+        features: &alone.made.features,
+        solved: &mut alone.solved,
+        given: &alone.given,
+        covariances: &alone.covariances,
+    }
+}
+
+/// Root mean square of how far two devices that are in one place are from each other, metres, and of how far each is from the truth.
+fn apart_m(walks: &[Alone]) -> (f64, f64) {
+    let states = |k: usize| walks[k].solved.last.estimate.states.iter();
+    let apart = states(0).zip(states(1));
+    let squares = apart.map(|(a, b)| {
+        (a.nav.world_from_rig.inverse() * b.nav.world_from_rig)
+            .translation
+            .norm_squared()
+    });
+    let mean = squares.sum::<f64>() / FRAMES as f64;
+    let off =
+        [0, 1].map(|k| errors(&walks[k].made.walk, &walks[k].solved.last.estimate.states).rms_m);
+    (mean.sqrt(), off[0].hypot(off[1]) / 2f64.sqrt())
+}
+
+#[test]
+fn walks_solved_as_one_lie_nearer_to_each_other() {
+    let config = GroundTruthConfig::default();
+    let mut ratios = Vec::new();
+    for seeds in [[11, 12], [13, 14], [15, 16]] {
+        let mut walks = seeds.map(alone);
+        let (before_m, off_before_m) = apart_m(&walks);
+        let mut members: Vec<Member> = walks.iter_mut().map(member).collect();
+        let said = solve_together(&mut members, &config, &no_progress).expect("solves");
+        let (after_m, off_after_m) = apart_m(&walks);
+        println!(
+            "{before_m:.5} to {after_m:.5} m apart, {off_before_m:.5} to {off_after_m:.5} m off, {said:?}"
+        );
+        assert!(
+            said.iter()
+                .all(|s| s.common_points > 50 && s.map_points > 10 && s.moved_sigmas < 3.0)
+        );
+        assert!(off_after_m < 1.1 * off_before_m);
+        ratios.push(after_m / before_m);
+    }
+    assert!(ratios.iter().all(|r| *r < 0.8), "{ratios:?}");
+}
+
+/// Nothing in common is said, and moves nothing.
+#[test]
+fn walks_with_nothing_in_common_stay_as_they_are() {
+    let config = GroundTruthConfig::default();
+    let mut walks = [11, 12].map(alone);
+    let other = &mut walks[1].made;
+    for features in &mut other.features {
+        let flip = |d: &mut [u8; DESCRIPTOR_LEN]| d.rotate_left(17);
+        features.descriptors.iter_mut().for_each(flip);
+    }
+    for frame in &mut other.walk.frames {
+        let elsewhere = |seen: &mut FixedObservation| seen.point += 1000;
+        frame.recognised.iter_mut().for_each(elsewhere);
+        frame.fixed.iter_mut().for_each(elsewhere);
+    }
+    let before = walks[0].solved.last.estimate.states.clone();
+    let mut members: Vec<Member> = walks.iter_mut().map(member).collect();
+    let said = solve_together(&mut members, &config, &no_progress).expect("solves");
+    let is_nothing = |s: &Together| {
+        s.map_points + s.common_points == 0 && s.moved_m == 0.0 && s.moved_sigmas < 1e-9
+    };
+    assert!(said.iter().all(is_nothing), "{said:?}");
+    assert!(walks[0].solved.last.estimate.states == before);
+}
