@@ -5,8 +5,12 @@ use lsfb_types::{Finding, Limit, Verdict};
 use super::config::{BENDING_SIGMAS, UNLIKELY_SIGMAS};
 use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
-use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
-use super::together::Together;
+use super::report::{
+    CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, Together,
+};
+
+/// Standard deviations of a pose by its own walk, in the worst direction, beyond which the others contradict it.
+const CONTRADICTED_SIGMAS: f64 = 3.0;
 
 /// Of the share of points that may be absent so much is usual where the place is as it was mapped; what is more is said.
 const USUAL_OF_ABSENT: f64 = 0.75;
@@ -267,6 +271,41 @@ impl CameraRefinement {
             .value(self.largest_sigmas, "")
             .limit(Limit::AtMost(limit))
             .remedy("calibrate it again")
+    }
+}
+
+impl Together {
+    pub(super) fn finding(&self) -> Finding {
+        let Self {
+            others,
+            map_points,
+            common_points,
+            moved_m,
+            moved_sigmas,
+        } = self;
+        let walks = match others {
+            1 => "another walk".to_owned(),
+            count => format!("{count} other walks"),
+        };
+        let found = |verdict, what| Finding::new("together", verdict, "trajectory", what);
+        if map_points + common_points == 0 {
+            let what = format!(
+                "nothing that it saw was seen by {walks} too: it is as if it were solved by itself"
+            );
+            return found(Verdict::Warn, what)
+                .remedy("solve walks together that come by the same places");
+        }
+        let limit = Limit::AtMost(CONTRADICTED_SIGMAS);
+        let what = format!(
+            "{map_points} points of the map and {common_points} others that {walks} saw too moved poses by up to {:.1} mm",
+            moved_m * 1e3
+        );
+        found(Verdict::Warn.unless(limit.holds(*moved_sigmas)), what)
+            .value(*moved_sigmas, "σ")
+            .limit(limit)
+            .remedy(
+                "the walks contradict each other: solve each by itself, and see what is said of it",
+            )
     }
 }
 

@@ -62,10 +62,9 @@ pub use other_place::OtherPlace;
 pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
-    Span,
+    Span, Together,
 };
 pub use run::{ground_truth, ground_truth_in_stages, ground_truth_of, ground_truth_together};
-pub use together::Together;
 pub use without_map::{
     Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, RevisitConfig,
     Revisits, Sight, TrackedFrame, TrackedWalk, WalkView, motion_of_recording,

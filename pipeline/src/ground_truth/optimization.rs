@@ -148,6 +148,8 @@ pub(super) struct Part<'a> {
 /// Blocks of points that several walks see.
 #[derive(Clone, Default)]
 pub(super) struct SharedPoints {
+    /// Whether each frame sees the map's as others do.
+    pub frames: Vec<bool>,
     /// Of the map's, by their number there: they are free, and what the map says of them is known beforehand.
     pub of_map: BTreeMap<u32, Block<Vector3<f64>>>,
     /// Of local ones, by their index among the walk's.
@@ -200,7 +202,8 @@ impl Part<'_> {
         for (k, (frame, state)) in walk.frames.iter().zip(&states).enumerate() {
             for seen in &frame.fixed {
                 let (pose, correction) = (state.pose.id(), corrections[seen.camera].id());
-                if let Some(point) = shared.of_map.get(&seen.point) {
+                let is_shared = shared.frames.get(k) == Some(&true);
+                if let Some(point) = shared.of_map.get(&seen.point).filter(|_| is_shared) {
                     let residual = MovingReprojection {
                         camera: walk.cameras[seen.camera].clone(),
                         motion: before.motions[k],

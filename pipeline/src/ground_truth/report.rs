@@ -7,7 +7,6 @@ use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
 use super::other_place::OtherPlace;
-use super::together::Together;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -95,6 +94,21 @@ impl ReprojectionErrors {
         result.rms_px = (squares / result.count.max(1) as f64).sqrt();
         result
     }
+}
+
+/// What others that were solved with a walk did to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Together {
+    /// The other walks.
+    pub others: u64,
+    /// Points of the map that this walk and another one see.
+    pub map_points: u64,
+    /// Points beside the map's that both see.
+    pub common_points: u64,
+    /// Farthest that a pose was moved by them, metres.
+    pub moved_m: f64,
+    /// Farthest in the standard deviations that its own walk gives it (a norm over six numbers, divided by what 95 % of them are below).
+    pub moved_sigmas: f64,
 }
 
 /// What the stage says about its own result.

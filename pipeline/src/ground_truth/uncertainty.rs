@@ -57,6 +57,18 @@ impl Deviations {
             map_px: (map_px2 - pixel_px2).max(0.25 * map_px2).sqrt(),
         }
     }
+
+    /// Of a point of the map that a frame sees, metres in each direction.
+    pub(super) fn of_map_point_m(
+        &self,
+        estimate: &Estimate,
+        frame: usize,
+        seen: &FixedObservation,
+    ) -> f64 {
+        let away_m = (seen.point_in_world - estimate.pose(frame).translation).norm();
+        let focal_px = estimate.cameras[seen.camera].camera().focal_px()[0];
+        (self.map_px * away_m / focal_px).max(LEAST_POINT_SIGMA_M)
+    }
 }
 
 /// How far what was found may be off.
@@ -144,18 +156,13 @@ fn information_of(sigmas: &CameraCorrection) -> CorrectionMatrix {
 /// How well a point is known that the map does not determine, of how well one is that it states nothing of.
 const NEXT_TO_NOTHING: f64 = 1e-3;
 
-/// Where a point of the map is that a frame sees: with the covariance that the map states, and in each direction what the walk shows. Of one that the
-/// map does not determine next to nothing is known.
+/// Where a point of the map is: with the covariance that the map states, and `shown_m` in each direction by what the walk shows. Of one that the map does not
+/// determine next to nothing is known.
 pub(super) fn map_point_prior(
     walk: &Walk,
-    estimate: &Estimate,
-    frame: usize,
     seen: &FixedObservation,
-    shown: &Deviations,
+    shown_m: f64,
 ) -> VectorPrior<3> {
-    let away_m = (seen.point_in_world - estimate.pose(frame).translation).norm();
-    let focal_px = estimate.cameras[seen.camera].camera().focal_px()[0];
-    let shown_m = (shown.map_px * away_m / focal_px).max(LEAST_POINT_SIGMA_M);
     let shown = Matrix3::from_diagonal_element(shown_m.powi(2));
     let stated = walk.point_covariances_m2.get(&seen.point);
     if stated.is_some_and(|c| c.iter().any(|v| !v.is_finite())) {
@@ -227,7 +234,8 @@ impl Window {
                     Some(point) => *point,
                     None => {
                         let point = problem.add_eliminated_point(seen.point_in_world);
-                        let prior = map_point_prior(walk, estimate, k, seen, shown);
+                        let shown_m = shown.of_map_point_m(estimate, k, seen);
+                        let prior = map_point_prior(walk, seen, shown_m);
                         problem.add_residual(prior, &[point.id()], Kernel::Squared)?;
                         of_map.insert(seen.point, point);
                         point

@@ -2,7 +2,7 @@
 
 use lsfb_geometry::Matrix6;
 
-use super::MeasuredLoop;
+use super::Measured;
 use super::assessment::CHI_SQUARED;
 use super::keyframes::Keyframe;
 use super::ways::widened_step;
@@ -11,14 +11,6 @@ use super::ways::widened_step;
 const NEAR_M: f64 = 15.0;
 /// Nearer than this the same scans are looked at, metres.
 const APART_M: f64 = 0.5;
-
-/// A loop by the numbers of its keyframes.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Measured {
-    pub earlier: usize,
-    pub later: usize,
-    pub loop_: MeasuredLoop,
-}
 
 /// Whether two loops are of neighbouring places, of different scans, and lead to one pose.
 pub(crate) fn agree(a: &Measured, b: &Measured, keyframes: &[Keyframe]) -> bool {

@@ -4,11 +4,10 @@ use lsfb_geometry::{Matrix6, Se3, StampedPose, Trajectory};
 use lsfb_types::{ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use super::agreement::Measured;
 use super::assessment::CHI_SQUARED;
 use super::graph::{self, Closed, squared_sigmas};
 use super::keyframes::{self, Keyframe, added};
-use super::{LoopVerdict, Loops};
+use super::{LoopVerdict, Loops, Measured};
 use crate::Error;
 use crate::bending::bent;
 use crate::odometry::{OdometryResult, OdometryWarning};

@@ -5,11 +5,10 @@ use lsfb_perception::RelativePose;
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, covariance};
 use lsfb_types::ProgressFn;
 
-use super::MeasuredLoop;
-use super::agreement::Measured;
 use super::assessment::CHI_SQUARED;
 use super::keyframes::Keyframe;
 use super::ways::step_covariance;
+use super::{Measured, MeasuredLoop};
 use crate::Error;
 use crate::solve::{solve_or_stop, solve_until_converged};
 

@@ -17,7 +17,7 @@ use lsfb_geometry::{Matrix6, Se3};
 use lsfb_types::Timestamp;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use agreement::{Measured, agree};
+pub(crate) use agreement::agree;
 pub(crate) use assessment::CHI_SQUARED;
 pub use closing::{Closing, close_loops};
 pub(crate) use graph::{closed_poses, fitting, squared_sigmas};
@@ -133,6 +133,14 @@ impl MeasuredLoop {
         covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(t * t);
         covariance
     }
+}
+
+/// A loop by the numbers of its keyframes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Measured {
+    pub earlier: usize,
+    pub later: usize,
+    pub loop_: MeasuredLoop,
 }
 
 /// Loops of a walk, accepted and rejected, by the time of the later visit.

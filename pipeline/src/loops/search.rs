@@ -3,13 +3,13 @@
 use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
-use super::agreement::{Measured, agree};
+use super::agreement::agree;
 use super::assessment::Scans;
 use super::closing::reject_misfits;
 use super::descriptor::Descriptor;
 use super::keyframes::{self, Keyframe};
 use super::ways::Ways;
-use super::{Loop, LoopRejection, LoopVerdict, Loops};
+use super::{Loop, LoopRejection, LoopVerdict, Loops, Measured};
 use crate::Error;
 use crate::odometry::{OdometryConfig, OdometryResult};
 

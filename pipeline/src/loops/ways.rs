@@ -5,7 +5,7 @@ use std::collections::BinaryHeap;
 
 use lsfb_geometry::{Matrix6, Se3};
 
-use super::agreement::Measured;
+use super::Measured;
 use super::keyframes::{Keyframe, added};
 
 /// By how much the odometry's standard deviations are widened before a loop is held against them: where scans do not see all of the

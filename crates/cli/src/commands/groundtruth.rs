@@ -62,7 +62,8 @@ use crate::standing;
 ///
 /// Walks that went by the same places can be solved together (--with): what two of them see beside the map's points is one point then, so that
 /// devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one that
-/// is refused then is refused here. Settings, and the weights of a map of learned features, are the same for all.
+/// is refused then is refused here, also where it would be found elsewhere by itself. Settings, and the weights of a map of learned features, are
+/// the same for all; of the others nothing is kept for a command that is stopped.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
 /// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.

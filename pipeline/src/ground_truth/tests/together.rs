@@ -1,9 +1,13 @@
 //! Walks that are solved as one.
 
 use lsfb_geometry::StampedPose;
+use lsfb_recording::Recording;
 
+use super::recorded::{Measured, Paint, WALK_FRAMES, map, rig};
 use super::*;
-use crate::ground_truth::together::{Member, Together, solve_together};
+use crate::ground_truth::ground_truth_together;
+use crate::ground_truth::together::{Member, solve_together};
+use crate::kept_stages::KeptStages;
 
 /// A walk by itself, and what would be given of it.
 struct Alone {
@@ -118,4 +122,44 @@ fn walks_with_nothing_in_common_stay_as_they_are() {
     };
     assert!(said.iter().all(is_nothing), "{said:?}");
     assert!(walks[0].solved.last.estimate.states == before);
+}
+
+/// From recordings, in either order; and with a walk that is refused by itself nothing is solved.
+#[test]
+fn recorded_walks_are_solved_as_one_if_each_is_right() {
+    let map = map(1);
+    let folder = tempfile::tempdir().expect("folder");
+    let recorded = |name: &str, room: Paint, frames: usize| {
+        let path = folder.path().join(name);
+        Measured::in_room(room, frames).record(&path, &rig());
+        Recording::open(&path).expect("recording")
+    };
+    let long = recorded("long.mcap", Paint::of(1), WALK_FRAMES);
+    let short = recorded("short.mcap", Paint::of(1), WALK_FRAMES * 2 / 3);
+    let elsewhere = recorded("elsewhere.mcap", Paint::other_floor(1), WALK_FRAMES);
+    let solve = |first: &Recording, other: &Recording| {
+        let config = GroundTruthConfig::default();
+        ground_truth_together(
+            first,
+            &[other],
+            &map,
+            &config,
+            &KeptStages::none(),
+            &no_progress,
+        )
+    };
+    let both = [solve(&long, &short), solve(&short, &long)];
+    let [a, b] = both.map(|solved| solved.expect("solved").report.together.expect("together"));
+    assert!(a.map_points > 50 && a.common_points > 10, "{a:?}");
+    assert_eq!(
+        (a.map_points, a.common_points),
+        (b.map_points, b.common_points)
+    );
+    match solve(&long, &elsewhere) {
+        Err(Error::OtherWalk { path, error }) => {
+            assert!(path.ends_with("elsewhere.mcap"));
+            assert!(matches!(*error, Error::PointsAbsent { .. }), "{error}");
+        }
+        other => panic!("{other:?}"),
+    }
 }

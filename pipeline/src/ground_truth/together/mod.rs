@@ -11,13 +11,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::{Matrix6, Trajectory, Vector3};
 use lsfb_solver::{Block, Kernel, Problem};
-use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
-use serde::{Deserialize, Serialize};
+use lsfb_types::{ProgressFn, Timestamp};
 
 use super::optimization::{Part, SharedPoints, WalkBlocks, choose_observations};
+use super::report::Together;
 use super::settling::is_few;
 use super::uncertainty::{Deviations, map_point_prior};
-use super::walk::Walk;
+use super::walk::{FixedObservation, Walk};
 use super::{GroundTruthConfig, Solved};
 use crate::Error;
 use crate::features::Features;
@@ -26,58 +26,6 @@ use common_points::{CommonPoint, common_points};
 
 /// Rounds at most in which observations come and go.
 const ROUNDS: usize = 4;
-/// Standard deviations of a pose by its own walk, in the worst direction, beyond which the others contradict it.
-const CONTRADICTED_SIGMAS: f64 = 3.0;
-
-/// What others that were solved with a walk did to it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Together {
-    /// The other walks.
-    pub others: u64,
-    /// Points of the map that this walk and another one see.
-    pub map_points: u64,
-    /// Points beside the map's that both see.
-    pub common_points: u64,
-    /// Farthest that a pose was moved by them, metres.
-    pub moved_m: f64,
-    /// Farthest in the standard deviations that its own walk gives it (a norm over six numbers, divided by what 95 % of them are below).
-    pub moved_sigmas: f64,
-}
-
-impl Together {
-    pub(super) fn finding(&self) -> Finding {
-        let Self {
-            others,
-            map_points,
-            common_points,
-            moved_m,
-            moved_sigmas,
-        } = self;
-        let walks = match others {
-            1 => "another walk".to_owned(),
-            count => format!("{count} other walks"),
-        };
-        let found = |verdict, what| Finding::new("together", verdict, "trajectory", what);
-        if map_points + common_points == 0 {
-            let what = format!(
-                "nothing that it saw was seen by {walks} too: it is as if it were solved by itself"
-            );
-            return found(Verdict::Warn, what)
-                .remedy("solve walks together that come by the same places");
-        }
-        let limit = Limit::AtMost(CONTRADICTED_SIGMAS);
-        let what = format!(
-            "{map_points} points of the map and {common_points} others that {walks} saw too moved poses by up to {:.1} mm",
-            moved_m * 1e3
-        );
-        found(Verdict::Warn.unless(limit.holds(*moved_sigmas)), what)
-            .value(*moved_sigmas, "σ")
-            .limit(limit)
-            .remedy(
-                "the walks contradict each other: solve each by itself, and see what is said of it",
-            )
-    }
-}
 
 /// One of the walks.
 pub(super) struct Member<'a> {
@@ -93,10 +41,16 @@ pub(super) struct Member<'a> {
 }
 
 impl Member<'_> {
-    /// Points of the map that it uses.
+    /// Points of the map that given frames use.
     fn map_points(&self) -> BTreeSet<u32> {
-        let used = self.walk.frames.iter().flat_map(|f| &f.fixed);
-        used.map(|seen| seen.point).collect()
+        self.given_sights().map(|(_, seen)| seen.point).collect()
+    }
+
+    /// Sights of the map in frames that are given, with the number of the frame: what is left out is right in no other walk.
+    fn given_sights(&self) -> impl Iterator<Item = (usize, &FixedObservation)> {
+        let frames = self.walk.frames.iter().enumerate();
+        let given = frames.filter(|(_, frame)| self.is_given(frame.time));
+        given.flat_map(|(k, frame)| frame.fixed.iter().map(move |seen| (k, seen)))
     }
 
     fn is_given(&self, time: Timestamp) -> bool {
@@ -158,12 +112,18 @@ fn solve_once(
     progress: ProgressFn<'_>,
 ) -> Result<(), Error> {
     let mut problem = Problem::new();
-    let mut shared = vec![SharedPoints::default(); members.len()];
-    for (number, block) in map_points(members, of_map, &mut problem)? {
-        for shared in &mut shared {
-            shared.of_map.insert(number, block);
-        }
-    }
+    let of_map = map_points(members, of_map, &mut problem)?;
+    let of_member = |member: &Member<'_>| SharedPoints {
+        frames: member
+            .walk
+            .frames
+            .iter()
+            .map(|frame| member.is_given(frame.time))
+            .collect(),
+        of_map: of_map.clone(),
+        local: BTreeMap::new(),
+    };
+    let mut shared: Vec<SharedPoints> = members.iter().map(of_member).collect();
     for point in common {
         let block = problem.add_eliminated_point(point.position(members));
         for (member, own) in &point.own {
@@ -205,27 +165,35 @@ fn common_map_points(members: &[Member<'_>]) -> BTreeSet<u32> {
     common.map(|(number, _)| number).collect()
 }
 
-/// These points as the first walk that sees each has them, free, with what the map and that walk say of them known beforehand.
+/// These points, free, with what the map says of them known beforehand, and that walk which shows best where each is.
 fn map_points(
     members: &[Member<'_>],
     of_map: &BTreeSet<u32>,
     problem: &mut Problem,
 ) -> Result<BTreeMap<u32, Block<Vector3<f64>>>, Error> {
-    let mut blocks = BTreeMap::new();
+    let mut best: BTreeMap<u32, (f64, &Walk, &FixedObservation)> = BTreeMap::new();
     for member in members {
         let last = &member.solved.last;
         let shown = Deviations::of(member.walk, &last.estimate, &last.points);
-        for (k, frame) in member.walk.frames.iter().enumerate() {
-            for seen in &frame.fixed {
-                if !of_map.contains(&seen.point) || blocks.contains_key(&seen.point) {
-                    continue;
-                }
-                let block = problem.add_eliminated_point(seen.point_in_world);
-                let prior = map_point_prior(member.walk, &last.estimate, k, seen, &shown);
-                problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-                blocks.insert(seen.point, block);
+        for (k, seen) in member.given_sights() {
+            if !of_map.contains(&seen.point) {
+                continue;
+            }
+            let shown_m = shown.of_map_point_m(&last.estimate, k, seen);
+            let known = best
+                .entry(seen.point)
+                .or_insert((shown_m, member.walk, seen));
+            if shown_m < known.0 {
+                *known = (shown_m, member.walk, seen);
             }
         }
+    }
+    let mut blocks = BTreeMap::new();
+    for (number, (shown_m, walk, seen)) in best {
+        let block = problem.add_eliminated_point(seen.point_in_world);
+        let prior = map_point_prior(walk, seen, shown_m);
+        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+        blocks.insert(number, block);
     }
     Ok(blocks)
 }
