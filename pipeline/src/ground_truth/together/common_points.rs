@@ -27,6 +27,9 @@ const COMPARED: usize = 3;
 /// Pairs of images that must show two points as one.
 const VOTES: usize = 2;
 
+/// Two points, each by the number of its walk and its index there.
+type Pair = [(usize, usize); 2];
+
 /// A point that several walks see.
 pub(super) struct CommonPoint {
     /// By the number of the walk the index of its own point.
@@ -80,7 +83,7 @@ pub(super) fn common_points(
         .collect();
     let pairs = near_pairs(&views);
     let (done, total) = (AtomicU64::new(0), pairs.len() as u64);
-    let votes: Result<Vec<Vec<[(usize, usize); 2]>>, Error> = pairs
+    let votes: Result<Vec<Vec<Pair>>, Error> = pairs
         .into_par_iter()
         .map(|(a, b)| {
             progress(Progress {
@@ -91,11 +94,11 @@ pub(super) fn common_points(
             Ok(votes_of(&views[a], &views[b], config))
         })
         .collect();
-    let mut counts: BTreeMap<[(usize, usize); 2], usize> = BTreeMap::new();
+    let mut counts: BTreeMap<Pair, usize> = BTreeMap::new();
     for vote in votes?.into_iter().flatten() {
         *counts.entry(vote).or_default() += 1;
     }
-    let mut joins: Vec<([(usize, usize); 2], usize)> = counts.into_iter().collect();
+    let mut joins: Vec<(Pair, usize)> = counts.into_iter().collect();
     joins.retain(|(pair, votes)| *votes >= VOTES && fit(pair, members, config));
     // Those that most images show first; the order of equals is that of their numbers.
     joins.sort_by_key(|(pair, votes)| (Reverse(*votes), *pair));
@@ -103,7 +106,7 @@ pub(super) fn common_points(
 }
 
 /// Groups in which each walk has one point at most: what contradicts a pair that more images show is left out.
-fn joined(joins: &[([(usize, usize); 2], usize)]) -> Vec<CommonPoint> {
+fn joined(joins: &[(Pair, usize)]) -> Vec<CommonPoint> {
     let mut group_of: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     let mut groups: Vec<BTreeMap<usize, usize>> = Vec::new();
     for ([a, b], _) in joins {
@@ -203,7 +206,7 @@ fn rays(view: &View) -> RayFeatures<'_> {
 }
 
 /// Which points two images show as one.
-fn votes_of(a: &View, b: &View, config: &GroundTruthConfig) -> Vec<[(usize, usize); 2]> {
+fn votes_of(a: &View, b: &View, config: &GroundTruthConfig) -> Vec<Pair> {
     let matches = match_epipolar(
         rays(a),
         rays(b),
@@ -222,7 +225,7 @@ fn votes_of(a: &View, b: &View, config: &GroundTruthConfig) -> Vec<[(usize, usiz
 }
 
 /// Whether each of two points is where the other walk sees it.
-fn fit(pair: &[(usize, usize); 2], members: &[Member<'_>], config: &GroundTruthConfig) -> bool {
+fn fit(pair: &Pair, members: &[Member<'_>], config: &GroundTruthConfig) -> bool {
     let [a, b] = pair.map(|(m, p)| {
         (
             &members[m].solved.last.estimate,
