@@ -386,6 +386,14 @@ pub enum Error {
         /// Why.
         error: Box<Error>,
     },
+    /// A walk that is to be solved together with others is found wrong by itself.
+    #[error("{path}: not to be used, and neither is what is solved together with it: {what}", path = path.display())]
+    FailedAlone {
+        /// The recording.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
     /// Places found in the map contradict the IMU and one another.
     #[error(
         "{path}: {rejected} of {localized} places found in the map contradict the IMU: is it the map of this place, and do cameras and IMU of the rig file belong to this device?", path = path.display()

@@ -121,7 +121,6 @@ pub struct LocalizedInstant {
 }
 
 /// A solved walk.
-#[derive(Clone)]
 struct Solved {
     last: Optimized,
     /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.

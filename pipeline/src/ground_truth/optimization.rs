@@ -17,7 +17,6 @@ use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReproject
 use crate::solve::solve_until_converged;
 
 /// What was found, and local points after a solve.
-#[derive(Clone)]
 pub(super) struct Optimized {
     pub estimate: Estimate,
     pub points: Vec<LocalPoint>,

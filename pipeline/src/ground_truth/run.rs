@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use lsfb_geometry::{Se3, Trajectory};
 use lsfb_recording::Recording;
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Verdict};
 use rayon::prelude::*;
 
 use super::accel_axes::misread_axis;
@@ -95,10 +95,10 @@ pub fn ground_truth_of(
     solve_in_map(recorded, map, config, &KeptStages::none(), progress)
 }
 
-/// The walk of `first` in the map, solved together with other walks through it: what both see beside the map's points holds them together. Each is
+/// The walk of `first` in the map, solved together with other walks through it: what both see is one point, which holds them together. Each is
 /// solved and judged by itself before.
 ///
-/// As [`ground_truth`]; [`Error::OtherWalk`] where one of the others is refused.
+/// As [`ground_truth`]; [`Error::FailedAlone`] where a walk by itself must not be used, [`Error::OtherWalk`] where one of the others is refused.
 pub fn ground_truth_together(
     first: &Recording,
     others: &[&Recording],
@@ -110,58 +110,71 @@ pub fn ground_truth_together(
     config.check_bounds("ground_truth")?;
     check_map(map, &wanted_feature(config), config)?;
     let localizer = Localizer::new(map, &config.localization)?.without_twins();
-    let mut own = AloneInMap::solve(first, &localizer, config, stages, progress)?;
     let none = KeptStages::none();
+    let own = RecordedWalk::read_in_stages(first, config, stages, progress)?;
     let others = others.iter().map(|other| {
-        let solved = AloneInMap::solve(other, &localizer, config, &none, progress);
-        solved.map_err(|error| match error {
-            stopped @ Error::Stopped(_) => stopped,
-            error => Error::OtherWalk {
-                path: other.path().to_owned(),
-                error: Box::new(error),
-            },
-        })
+        RecordedWalk::read_in_stages(other, config, &none, progress)
+            .map_err(|error| of_other(other.path(), error))
     });
-    let mut others: Vec<AloneInMap> = others.collect::<Result<_, Error>>()?;
-    let all = std::iter::once(&mut own).chain(&mut others);
-    let mut members: Vec<Member> = all.map(AloneInMap::member).collect();
+    // Before anything is solved: that takes longer.
+    let others: Vec<RecordedWalk> = others.collect::<Result<_, Error>>()?;
+    let alone =
+        |recorded, stages| AloneInMap::solve(recorded, &localizer, config, stages, progress);
+    let mut all = vec![alone(&own, stages)?];
+    for other in &others {
+        all.push(alone(other, &none).map_err(|error| of_other(&other.path, error))?);
+    }
+    let mut members: Vec<Member> = all.iter_mut().map(AloneInMap::member).collect();
     let said = solve_together(&mut members, config, progress)?;
-    own.begun.together = said.first().copied();
-    own.judge_again(&localizer, config, progress)
+    let AloneInMap { attempt, begun, .. } = &mut all[0];
+    begun.together = said.first().copied();
+    let judged = attempt.judge(begun, Elsewhere::IsRefused);
+    judged.map_err(|refused| refused.error)
+}
+
+/// What is wrong of a walk that another one is to be solved together with.
+fn of_other(path: &Path, error: Error) -> Error {
+    match error {
+        stopped @ Error::Stopped(_) => stopped,
+        error => Error::OtherWalk {
+            path: path.to_owned(),
+            error: Box::new(error),
+        },
+    }
 }
 
 /// A walk that is right by itself.
-struct AloneInMap {
-    recorded: RecordedWalk,
-    was_looked_up: Vec<bool>,
+struct AloneInMap<'a> {
+    attempt: Attempt<'a>,
     begun: Begun,
     given: GroundTruth,
 }
 
-impl AloneInMap {
+impl<'a> AloneInMap<'a> {
     fn solve(
-        recording: &Recording,
-        localizer: &Localizer,
-        config: &GroundTruthConfig,
+        recorded: &'a RecordedWalk,
+        localizer: &'a Localizer,
+        config: &'a GroundTruthConfig,
         stages: &KeptStages,
-        progress: ProgressFn<'_>,
+        progress: ProgressFn<'a>,
     ) -> Result<Self, Error> {
-        let recorded = RecordedWalk::read_in_stages(recording, config, stages, progress)?;
-        let (was_looked_up, localized) = look_up(&recorded, localizer, config, stages, progress)?;
-        let attempt = Attempt {
-            recorded: &recorded,
-            localizer,
-            was_looked_up: &was_looked_up,
-            config,
-            progress,
-        };
+        let (attempt, localized) = Attempt::look_up(recorded, localizer, config, stages, progress)?;
         let begun = attempt.begin(&localized)?;
-        let given = attempt.judge(begun.clone(), Elsewhere::IsRefused);
+        let given = attempt.judge(&begun, Elsewhere::IsRefused);
+        let given = given.map_err(|refused| refused.error)?;
+        // Poses that are given, and are not to be used, would bend those of the other walks.
+        let findings = given.report.findings().into_iter();
+        let mut failed = findings.filter(|found| found.verdict == Verdict::Fail);
+        if let Some(failed) = failed.next() {
+            return Err(Error::FailedAlone {
+                path: recorded.path.clone(),
+                what: failed.sentence(),
+            });
+        }
         Ok(Self {
-            given: given.map_err(|refused| refused.error)?,
+            attempt,
             begun,
-            was_looked_up,
-            recorded,
+            given,
         })
     }
 
@@ -174,45 +187,6 @@ impl AloneInMap {
             covariances: &self.given.covariances,
         }
     }
-
-    fn judge_again(
-        self,
-        localizer: &Localizer,
-        config: &GroundTruthConfig,
-        progress: ProgressFn<'_>,
-    ) -> Result<GroundTruth, Error> {
-        let attempt = Attempt {
-            recorded: &self.recorded,
-            localizer,
-            was_looked_up: &self.was_looked_up,
-            config,
-            progress,
-        };
-        let judged = attempt.judge(self.begun, Elsewhere::IsRefused);
-        judged.map_err(|refused| refused.error)
-    }
-}
-
-/// Which frames were looked up in the map on their own, and where they were found.
-fn look_up(
-    recorded: &RecordedWalk,
-    localizer: &Localizer,
-    config: &GroundTruthConfig,
-    stages: &KeptStages,
-    progress: ProgressFn<'_>,
-) -> Result<(Vec<bool>, Vec<Option<Localization>>), Error> {
-    let (frames, apart_secs) = (&recorded.read.frames, config.localize_every_secs);
-    let found = localize_frames_apart(
-        localizer,
-        frames,
-        &recorded.rig,
-        apart_secs,
-        stages,
-        progress,
-    )?;
-    let was_looked_up = found.iter().map(Option::is_some).collect();
-    let localized = found.into_iter().map(|found| found?.ok()).collect();
-    Ok((was_looked_up, localized))
 }
 
 fn solve_in_map(
@@ -225,14 +199,7 @@ fn solve_in_map(
     let RecordedWalk { rig, read, .. } = recorded;
     // Whether there is another place that looks alike is asked of the whole walk.
     let localizer = Localizer::new(map, &config.localization)?.without_twins();
-    let (was_looked_up, localized) = look_up(recorded, &localizer, config, stages, progress)?;
-    let attempt = Attempt {
-        recorded,
-        localizer: &localizer,
-        was_looked_up: &was_looked_up,
-        config,
-        progress,
-    };
+    let (attempt, localized) = Attempt::look_up(recorded, &localizer, config, stages, progress)?;
     let first = match attempt.solve(&localized, Elsewhere::IsTried) {
         Ok(solved) => return Ok(solved),
         Err(refused) => refused,
@@ -240,7 +207,11 @@ fn solve_in_map(
     let Some(there) = &first.elsewhere else {
         return Err(first.error);
     };
-    let frames = read.frames.par_iter().zip(&was_looked_up).enumerate();
+    let frames = read
+        .frames
+        .par_iter()
+        .zip(&attempt.was_looked_up)
+        .enumerate();
     let localized: Vec<Option<Localization>> = frames
         .map(|(k, (frame, is_wanted))| {
             let near = there.pose(k).filter(|_| *is_wanted)?;
@@ -300,7 +271,6 @@ enum Elsewhere {
 }
 
 /// A walk that was solved, and not judged yet.
-#[derive(Clone)]
 struct Begun {
     /// Of the recording's frames those that are solved.
     range: Range<usize>,
@@ -319,18 +289,42 @@ struct Begun {
 struct Attempt<'a> {
     recorded: &'a RecordedWalk,
     localizer: &'a Localizer,
-    was_looked_up: &'a [bool],
+    /// Which frames were looked up in the map on their own.
+    was_looked_up: Vec<bool>,
     config: &'a GroundTruthConfig,
     progress: ProgressFn<'a>,
 }
 
-impl Attempt<'_> {
+impl<'a> Attempt<'a> {
+    /// Looks frames up in the map; beside each where it was found.
+    fn look_up(
+        recorded: &'a RecordedWalk,
+        localizer: &'a Localizer,
+        config: &'a GroundTruthConfig,
+        stages: &KeptStages,
+        progress: ProgressFn<'a>,
+    ) -> Result<(Self, Vec<Option<Localization>>), Error> {
+        let RecordedWalk { rig, read, .. } = recorded;
+        let apart_secs = config.localize_every_secs;
+        let found =
+            localize_frames_apart(localizer, &read.frames, rig, apart_secs, stages, progress)?;
+        let attempt = Self {
+            recorded,
+            localizer,
+            was_looked_up: found.iter().map(Option::is_some).collect(),
+            config,
+            progress,
+        };
+        let localized = found.into_iter().map(|found| found?.ok()).collect();
+        Ok((attempt, localized))
+    }
+
     fn solve(
         &self,
         localized: &[Option<Localization>],
         elsewhere: Elsewhere,
     ) -> Result<GroundTruth, Refused> {
-        self.judge(self.begin(localized)?, elsewhere)
+        self.judge(&self.begin(localized)?, elsewhere)
     }
 
     /// Solves the walk where its images were found.
@@ -400,7 +394,7 @@ impl Attempt<'_> {
     }
 
     /// Gives what may be believed of a walk that was solved.
-    fn judge(&self, begun: Begun, elsewhere: Elsewhere) -> Result<GroundTruth, Refused> {
+    fn judge(&self, begun: &Begun, elsewhere: Elsewhere) -> Result<GroundTruth, Refused> {
         let Self {
             recorded,
             localizer,
@@ -415,12 +409,13 @@ impl Attempt<'_> {
         let Begun {
             range,
             localized: count,
-            mut walk,
+            walk,
             features,
             start,
             solved,
             together,
         } = begun;
+        let mut walk = walk.clone();
         let (estimate, points) = (&solved.last.estimate, &solved.last.points);
         let used = &solved.config;
         let (imu, agreement) = if walk.has_imu() {
@@ -433,7 +428,7 @@ impl Attempt<'_> {
         };
         let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
 
-        let search = Search::new(&walk, (estimate, points), &features, map, config);
+        let search = Search::new(&walk, (estimate, points), features, map, config);
         let in_view = search.judge(estimate);
         let halves = check_halves(&walk, estimate, points, used, progress)?;
         let with_shared = uncertainty.poses.iter().zip(&halves);
@@ -456,7 +451,7 @@ impl Attempt<'_> {
             path,
             walk: &walk,
             looked_up: self.tried(range.clone()),
-            start: &start,
+            start,
             imu: imu.as_ref(),
             trusted: &trusted,
             in_view: &whole,
@@ -512,15 +507,15 @@ impl Attempt<'_> {
             });
         }
         let trajectory = Trajectory::new(trusted.poses.clone());
-        let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+        let mut report = report(&walk, solved, &trusted, &trajectory)?;
         (report.imu, report.map) = (imu, agreement);
         let names = rig.cameras.keys().map(String::as_str);
         report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
         report.frames = read.frames.len() as u64;
         report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
         report.looked_up = self.tried(0..read.frames.len()) as u64;
-        report.together = together;
-        report.localized = count as u64;
+        report.together = *together;
+        report.localized = *count as u64;
         report.other_place = other_place;
         report.rejected_localizations = (count - start.accepted_count) as u64;
         report.rival_localizations = start.rival_count as u64;
@@ -528,7 +523,7 @@ impl Attempt<'_> {
         report.max_absent_share = config.max_absent_share;
         (report.points_in_view, report.absent_share) = (whole.points as u64, whole.absent_share());
         report.place_checked = whole.is_judged();
-        report.left_out.extend(out_of_reach(&read.frames, &range));
+        report.left_out.extend(out_of_reach(&read.frames, range));
         report.left_out.sort_by_key(|span| span.from_ns);
         report.warnings = warnings(
             &report,

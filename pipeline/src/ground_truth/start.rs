@@ -24,7 +24,6 @@ const LARGEST_WHITENED: f64 = 6.2;
 const KERNEL: Kernel = Kernel::Cauchy { scale: 2.0 };
 
 /// States that agree with the IMU and with all localized poses that are accepted.
-#[derive(Clone)]
 pub(super) struct Start {
     /// One for each frame.
     pub states: Vec<FrameState>,

@@ -60,9 +60,9 @@ use crate::standing;
 /// another floor than it seems). Whoever walked there before with a trajectory that is right can make a table of what is heard where
 /// (`lsfb dataset radio`): with --radio a walk that did not hear the same is refused, as one on another floor that looks alike.
 ///
-/// Walks that went by the same places can be solved together (--with): what two of them see beside the map's points is one point then, so that
-/// devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one that
-/// is refused then is refused here, also where it would be found elsewhere by itself. Settings, and the weights of a map of learned features, are
+/// Walks that went by the same places can be solved together (--with): what two of them see, points of the map and others, is one point then, so
+/// that devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one
+/// that is refused then, or is not to be used (exit code 4), is refused here, also where it would be found elsewhere by itself. Settings, and the weights of a map of learned features, are
 /// the same for all; of the others nothing is kept for a command that is stopped.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same

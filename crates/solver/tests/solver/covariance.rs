@@ -130,18 +130,19 @@ fn farthest_from(expected: &str, bal: &BalProblem) -> f64 {
     farthest
 }
 
-/// A chain that hangs on thousands of stiff links, and is held softly at one end, is determined, however small the eigenvalue: so walks hang on
-/// their IMU.
-#[test]
-fn the_end_of_a_long_chain_has_its_covariance() {
-    const LINKS: usize = 2000;
-    const LINK_M: f64 = 2e-6;
-    const HELD_M: f64 = 0.05;
+const LINKS: usize = 2000;
+const LINK_M: f64 = 2e-6;
+const HELD_M: f64 = 0.05;
+
+/// A chain of thousands of stiff links behind a soft one; its first block is held, or nothing is.
+fn chain(is_held: bool) -> (Problem, Vec<BlockId>) {
     let mut problem = Problem::new();
     let chain: Vec<_> = (0..=LINKS + 1)
         .map(|_| problem.add_block(Se3::identity()))
         .collect();
-    problem.set_constant(chain[0]);
+    if is_held {
+        problem.set_constant(chain[0]);
+    }
     for (k, pair) in chain.windows(2).enumerate() {
         let sigma_m = if k == 0 { HELD_M } else { LINK_M };
         let mut sqrt_information = Matrix6::identity();
@@ -156,13 +157,31 @@ fn the_end_of_a_long_chain_has_its_covariance() {
         let added = problem.add_residual(link, &pair, Kernel::Squared);
         added.expect("fits");
     }
-    let end = chain[LINKS + 1].id();
-    let found = covariance(&problem, &[end]).expect("determined");
+    (problem, chain.iter().map(|block| block.id()).collect())
+}
+
+/// A chain that hangs on thousands of stiff links, and is held softly at one end, is determined, however small the eigenvalue: so walks hang on
+/// their IMU.
+#[test]
+fn the_end_of_a_long_chain_has_its_covariance() {
+    let (problem, chain) = chain(true);
+    let found = covariance(&problem, &[chain[LINKS + 1]]).expect("determined");
     let variance = HELD_M.powi(2) + LINKS as f64 * LINK_M.powi(2);
     for row in 3..6 {
         let ratio = found.joint()[(row, row)] / variance;
         assert!((0.99..1.01).contains(&ratio), "{ratio}");
     }
+}
+
+/// The same chain held nowhere: what is free is told from what is held softly.
+#[test]
+fn a_long_chain_that_nothing_holds_has_no_covariance() {
+    let (problem, chain) = chain(false);
+    let error = covariance(&problem, &[chain[LINKS + 1]]).expect_err("free");
+    assert!(
+        matches!(error, Error::Undetermined { parameters: 6, .. }),
+        "{error}"
+    );
 }
 
 #[test]

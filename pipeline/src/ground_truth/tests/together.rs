@@ -162,4 +162,22 @@ fn recorded_walks_are_solved_as_one_if_each_is_right() {
         }
         other => panic!("{other:?}"),
     }
+    // By itself a walk whose images are late is given, and not to be used.
+    let path = folder.path().join("late.mcap");
+    let mut late = Measured::in_room(Paint::of(1), WALK_FRAMES);
+    for (_, image) in &mut late.images {
+        image.time = image.time.plus_nanos(100_000_000);
+    }
+    late.record(&path, &rig());
+    let late = Recording::open(&path).expect("recording");
+    for (first, other) in [(&long, &late), (&late, &long)] {
+        let refused = match solve(first, other) {
+            Err(Error::OtherWalk { error, .. }) => *error,
+            refused => refused.expect_err("images are late"),
+        };
+        match refused {
+            Error::FailedAlone { path, .. } => assert!(path.ends_with("late.mcap")),
+            other => panic!("{other}"),
+        }
+    }
 }
