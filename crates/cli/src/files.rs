@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use lsfb_recording::sha256_of;
 
 /// Writes a file; an error names it.
 pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> anyhow::Result<()> {
@@ -67,6 +68,13 @@ pub fn is_same(a: &Path, b: &Path) -> bool {
         (Ok(a), Ok(b)) => a == b,
         _ => false,
     }
+}
+
+/// Whether two files have the same bytes.
+pub fn is_copy(a: &Path, b: &Path) -> bool {
+    let length = |path: &Path| std::fs::metadata(path).map(|known| known.len());
+    let is_as_long = matches!((length(a), length(b)), (Ok(a), Ok(b)) if a == b);
+    is_as_long && matches!((sha256_of(a), sha256_of(b)), (Ok(a), Ok(b)) if a == b)
 }
 
 /// A text file that stands beside a trajectory: `walk.tum` and `covariance` → `walk_covariance.txt`.

@@ -300,6 +300,17 @@ fn a_walk_is_not_solved_together_with_itself() {
     let arguments: Vec<&str> = line.split(' ').collect();
     let words = ["./walk.mcap", "--with takes other walks"];
     refused(folder.path(), &arguments, &words);
+    // Nor with a copy of itself.
+    let copy = folder.path().join("glasses.mcap");
+    std::fs::copy(folder.path().join("walk.mcap"), copy).expect("a copy");
+    let line = "groundtruth walk.mcap --with glasses.mcap --map map --out scan.tum";
+    let arguments: Vec<&str> = line.split(' ').collect();
+    let words = [
+        "glasses.mcap",
+        "--with takes other walks",
+        "this is walk.mcap",
+    ];
+    refused(folder.path(), &arguments, &words);
 }
 
 #[test]

@@ -2,23 +2,19 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use lsfb_drivers::transport::udp_sender::UdpSender;
 use lsfb_recording::{LIDAR_POSITION, Recording};
 use lsfb_tests::velodyne::{data_packet, data_time_us, position_packet};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 
-use crate::simulated_session::Ports;
-
-/// Whatever takes this long has failed.
-const PATIENCE: Duration = Duration::from_secs(20);
+use crate::running::{Running, wait_until};
+use crate::simulated_session::{Ports, text};
 
 /// A recorder of a LiDAR, and the LiDAR.
 struct Scan {
-    process: Child,
+    process: Running,
     out: PathBuf,
     ports: [u16; 2],
     data: UdpSender,
@@ -42,16 +38,9 @@ impl Scan {
         );
         std::fs::write(&devices, list).expect("list of devices");
         let out = folder.path().join("scan.mcap");
-        let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
-            .args(["scan", "--devices"])
-            .arg(&devices)
-            .arg("--out")
-            .arg(&out)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the built binary");
-        let scan = Self {
+        let arguments = ["scan", "--devices", text(&devices), "--out", text(&out)];
+        let process = Running::lsfb(folder.path(), arguments.map(str::to_owned));
+        let mut scan = Self {
             process,
             ports,
             data: UdpSender::aim(data).expect("sender"),
@@ -62,7 +51,9 @@ impl Scan {
             _folder: folder,
         };
         // The file is made after the sockets are bound.
-        wait_until("the recorder listens", || scan.out.exists());
+        let out = scan.out.clone();
+        scan.process
+            .wait_until("the recorder listens", || out.exists());
         scan
     }
 
@@ -102,36 +93,6 @@ impl Scan {
             })
         });
     }
-
-    fn signal(&self, signal: Signal) {
-        let id = i32::try_from(self.process.id()).expect("process id");
-        kill(Pid::from_raw(id), signal).expect("signal");
-    }
-
-    fn wait_for_end(&mut self) -> ExitStatus {
-        let mut status = None;
-        wait_until("the recorder ends", || {
-            status = self.process.try_wait().expect("status");
-            status.is_some()
-        });
-        status.expect("status")
-    }
-}
-
-impl Drop for Scan {
-    fn drop(&mut self) {
-        // A test that failed must not leave its recorder behind; one that ended is already gone.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
-fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
-    let began = Instant::now();
-    while !holds() {
-        assert!(began.elapsed() < PATIENCE, "in vain: {what}");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 fn packets(path: &Path, topic: &str) -> usize {
@@ -149,8 +110,8 @@ fn ctrl_c_closes_the_file_with_everything_in_it() {
     scan.send_for(Duration::from_millis(1_500));
     scan.wait_until_received();
     let asked = Instant::now();
-    scan.signal(Signal::SIGINT);
-    let status = scan.wait_for_end();
+    scan.process.signal(Signal::SIGINT);
+    let status = scan.process.wait();
     assert!(
         asked.elapsed() < Duration::from_secs(2),
         "{:?}",
@@ -173,8 +134,8 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
     scan.send_for(Duration::from_millis(3_000));
     scan.wait_until_received();
     let killed = Instant::now();
-    scan.signal(Signal::SIGKILL);
-    assert_eq!(scan.wait_for_end().code(), None);
+    scan.process.signal(Signal::SIGKILL);
+    assert_eq!(scan.process.wait().code(), None);
 
     let recording = Recording::open(&scan.out).expect("recording");
     assert_eq!(recording.damage().len(), 1, "{:?}", recording.damage());

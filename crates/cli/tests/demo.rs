@@ -206,6 +206,22 @@ fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
         "{both}"
     );
     judged("both.tum");
+    // The other walk's trajectory, of the same solve.
+    judged("both_with_walk.tum");
+    let other = &both["with"]["both_with_walk.tum"];
+    assert_eq!(
+        other["together"]["map_points"], together["map_points"],
+        "{both}"
+    );
+    for beside in [
+        "covariance.txt",
+        "cross_check.txt",
+        "states.csv",
+        "states.mcap",
+    ] {
+        let written = folder.join(format!("both_with_walk_{beside}"));
+        assert!(written.is_file(), "{beside}");
+    }
 }
 
 /// For who reads ROS: the same poses at the images, with covariances, and at the IMU's rate.

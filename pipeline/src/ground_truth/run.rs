@@ -95,52 +95,57 @@ pub fn ground_truth_of(
     solve_in_map(recorded, map, config, &KeptStages::none(), progress)
 }
 
-/// The walk of `first` in the map, solved together with other walks through it: what both see is one point, which holds them together. Each is
-/// solved and judged by itself before.
+/// Walks through one map, solved together: what two of them see is one point, which holds them together. Each is solved and judged by itself
+/// before, and judged again. What becomes of each, in their order; beside each walk stands what is kept of it, as in [`ground_truth_in_stages`].
 ///
-/// As [`ground_truth`]; [`Error::FailedAlone`] where a walk by itself must not be used, [`Error::OtherWalk`] where one of the others is refused.
+/// As [`ground_truth`]; [`Error::FailedAlone`] where a walk by itself must not be used, [`Error::OtherWalk`] where one but the first is refused.
 pub fn ground_truth_together(
-    first: &Recording,
-    others: &[&Recording],
+    walks: &[(&Recording, &KeptStages)],
     map: &HdMap,
     config: &GroundTruthConfig,
-    stages: &KeptStages,
     progress: ProgressFn<'_>,
-) -> Result<GroundTruth, Error> {
+) -> Result<Vec<GroundTruth>, Error> {
     config.check_bounds("ground_truth")?;
     check_map(map, &wanted_feature(config), config)?;
     let localizer = Localizer::new(map, &config.localization)?.without_twins();
-    let none = KeptStages::none();
-    let own = RecordedWalk::read_in_stages(first, config, stages, progress)?;
-    let others = others.iter().map(|other| {
-        RecordedWalk::read_in_stages(other, config, &none, progress)
-            .map_err(|error| of_other(other.path(), error))
-    });
-    // Before anything is solved: that takes longer.
-    let others: Vec<RecordedWalk> = others.collect::<Result<_, Error>>()?;
-    let alone =
-        |recorded, stages| AloneInMap::solve(recorded, &localizer, config, stages, progress);
-    let mut all = vec![alone(&own, stages)?];
-    for other in &others {
-        all.push(alone(other, &none).map_err(|error| of_other(&other.path, error))?);
-    }
+    // All of them before any is solved: that takes longer.
+    let recorded = of_each(walks, walks, |(recording, stages)| {
+        RecordedWalk::read_in_stages(recording, config, stages, progress)
+    })?;
+    let to_solve = recorded.iter().zip(walks);
+    let mut all = of_each(walks, to_solve, |(recorded, (_, stages))| {
+        AloneInMap::solve(recorded, &localizer, config, stages, progress)
+    })?;
     let mut members: Vec<Member> = all.iter_mut().map(AloneInMap::member).collect();
     let said = solve_together(&mut members, config, progress)?;
-    let AloneInMap { attempt, begun, .. } = &mut all[0];
-    begun.together = said.first().copied();
-    let judged = attempt.judge(begun, Elsewhere::IsRefused);
-    judged.map_err(|refused| refused.error)
+    for (walk, together) in all.iter_mut().zip(said) {
+        walk.begun.together = Some(together);
+    }
+    of_each(walks, &all, |walk| {
+        let judged = walk.attempt.judge(&walk.begun, Elsewhere::IsRefused);
+        judged.map_err(|refused| refused.error)
+    })
 }
 
-/// What is wrong of a walk that another one is to be solved together with.
-fn of_other(path: &Path, error: Error) -> Error {
-    match error {
-        stopped @ Error::Stopped(_) => stopped,
-        error => Error::OtherWalk {
-            path: path.to_owned(),
-            error: Box::new(error),
-        },
+/// Does something to each walk; says of which it could not be done, where that is not the first.
+fn of_each<W, T>(
+    walks: &[(&Recording, &KeptStages)],
+    each: impl IntoIterator<Item = W>,
+    mut to_do: impl FnMut(W) -> Result<T, Error>,
+) -> Result<Vec<T>, Error> {
+    let mut done = Vec::with_capacity(walks.len());
+    for (number, (walk, (recording, _))) in each.into_iter().zip(walks).enumerate() {
+        let result = to_do(walk);
+        done.push(result.map_err(|error| match error {
+            stopped @ Error::Stopped(_) => stopped,
+            error if number == 0 => error,
+            error => Error::OtherWalk {
+                path: recording.path().to_owned(),
+                error: Box::new(error),
+            },
+        })?);
     }
+    Ok(done)
 }
 
 /// A walk that is right by itself.

@@ -1,24 +1,25 @@
 //! `lsfb groundtruth`: a walk and an HD map → trajectory.
 
-use std::fmt::Write as _;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use lsfb_eval::radio::read_table;
+use anyhow::bail;
+use lsfb_eval::radio::{PlacedReading, read_table};
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::ground_truth::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth_in_stages,
     ground_truth_together,
 };
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Provenance, Recording, read_tum, write_tum};
+use lsfb_pipeline::kept_stages::KeptStages;
+use lsfb_recording::{Provenance, Recording, read_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::covariance_file;
 use super::groundtruth_page::WalkPage;
 use super::models::ModelFolder;
-use super::motion_file;
 use super::surroundings::Surroundings;
+use super::walk_files::WalkFiles;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -62,8 +63,9 @@ use crate::standing;
 ///
 /// Walks that went by the same places can be solved together (--with): what two of them see, points of the map and others, is one point then, so
 /// that devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one
-/// that is refused then, or is not to be used (exit code 4), is refused here, also where it would be found elsewhere by itself. Settings, and the weights of a map of learned features, are
-/// the same for all; of the others nothing is kept for a command that is stopped.
+/// that is refused then, or is not to be used (exit code 4), is refused here, also where it would be found elsewhere by itself; so is one whose
+/// barometer or radio says that it was elsewhere. Settings, and the weights of a map of learned features, are the same for all. Of each other
+/// walk OTHER.mcap the same files are written as of the first: WALK_with_OTHER.tum and what belongs to it. The page is the first's.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
 /// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
@@ -89,8 +91,8 @@ pub struct Arguments {
     /// there is none.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
-    /// Another walk through the map, of another device say, that is solved together with this one; may be given several times. Results are this
-    /// walk's.
+    /// Another walk through the map, of another device say, that is solved together with this one; may be given several times. Its trajectory is
+    /// written beside this one's.
     #[arg(long, value_name = "MCAP")]
     with: Vec<PathBuf>,
     /// Settings instead of the defaults.
@@ -119,40 +121,49 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let mut read: Vec<&Path> = vec![&arguments.recording];
     for other in &arguments.with {
-        if read.iter().any(|path| files::is_same(path, other)) {
-            anyhow::bail!(
-                "{}: --with takes other walks, each once: one with itself says nothing new",
-                other.display()
+        let is_same = |path: &&Path| files::is_same(path, other) || files::is_copy(path, other);
+        if let Some(same) = read.iter().find(|path| is_same(path)) {
+            bail!(
+                "{}: --with takes other walks, each once, and this is {}: one with itself says nothing new",
+                other.display(),
+                same.display()
             );
         }
         read.push(other);
     }
     let found = job.compute(context, |result| context.claim(result, &read))?;
-    let r = &found.said.report;
     let judgement = Judgement::new(found.said.findings());
     context.print(
         &Judged::new(&judgement, "the trajectory", &found.said),
         || {
-            let mut text = format!(
-                "{}: {} poses, {} of {} frames that were looked up localized, {} bridged, reprojection {:.3} px rms\n",
-                arguments.out.display(),
-                found.trajectory.len(),
-                r.localized,
-                r.looked_up,
-                r.bridged,
-                r.map_errors.rms_px
-            );
+            let mut text = poses_of(&arguments.out, &found.said.report);
+            for (name, other) in &found.said.with {
+                text += &poses_of(&arguments.out.with_file_name(name), &other.report);
+            }
             for camera in judgement.findings().iter().filter(|f| f.code == "camera") {
                 text += &format!("  {}\n", camera.sentence());
             }
             text + &problem_lines(&judgement)
         },
     )?;
-    Ok(match (judgement.verdict(), r.is_whole()) {
+    Ok(match (judgement.verdict(), found.said.is_whole()) {
         (Verdict::Fail, _) => Outcome::JudgementFailed,
         (_, false) => Outcome::DataLost,
         _ => Outcome::Done,
     })
+}
+
+/// How much of a walk was solved.
+fn poses_of(trajectory: &Path, r: &GroundTruthReport) -> String {
+    format!(
+        "{}: {} poses, {} of {} frames that were looked up localized, {} bridged, reprojection {:.3} px rms\n",
+        trajectory.display(),
+        r.poses,
+        r.localized,
+        r.looked_up,
+        r.bridged,
+        r.map_errors.rms_px
+    )
 }
 
 /// A trajectory that was written, and where it comes from.
@@ -169,13 +180,24 @@ pub struct Said {
     pub report: GroundTruthReport,
     /// What the walk's barometer and radio say of it.
     pub surroundings: Surroundings,
+    /// The same of walks that were solved together with it, by the files of their trajectories.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub with: BTreeMap<String, Self>,
 }
 
 impl Said {
     /// All that is to be judged.
     pub fn findings(&self) -> Vec<Finding> {
-        let own = self.report.findings().into_iter();
-        own.chain(self.surroundings.findings()).collect()
+        let mut findings = self.report.findings();
+        findings.extend(self.surroundings.findings());
+        for (name, other) in &self.with {
+            let named = |found: Finding| Finding {
+                subject: format!("{name}, {}", found.subject),
+                ..found
+            };
+            findings.extend(other.findings().into_iter().map(named));
+        }
+        findings
     }
 
     /// Codes of what is not as it should be; of what forbids to use the trajectory with the verdict.
@@ -186,6 +208,11 @@ impl Said {
             Verdict::Unknown | Verdict::Pass => None,
         };
         self.findings().into_iter().filter_map(doubt).collect()
+    }
+
+    /// Whether nothing is left out of any walk.
+    fn is_whole(&self) -> bool {
+        self.report.is_whole() && self.with.values().all(Self::is_whole)
     }
 
     /// Why the trajectory must not be used, a sentence each; empty where nothing forbids it.
@@ -243,18 +270,13 @@ impl WalkJob<'_> {
         }
         // The map's header has the hashes of its other files.
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
-        let covariances = files::beside(self.out, "covariance");
-        let cross_check = files::beside(self.out, "cross_check");
-        let states = files::beside(self.out, "states").with_extension("csv");
-        let motion = states.with_extension("mcap");
+        let files = WalkFiles::of_walks(self.out, self.others);
         let heard = self.radio.map(read_table).transpose()?;
         if let Some(table) = self.radio {
             provenance.add_input(table)?;
         }
-        let outputs: Vec<&Path> = [Some(self.out), self.out_report]
-            .into_iter()
-            .flatten()
-            .collect();
+        let outputs = files.iter().map(WalkFiles::trajectory);
+        let outputs: Vec<&Path> = outputs.chain(self.out_report).collect();
         if let Some(said) = context.standing(&outputs, &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
@@ -263,43 +285,51 @@ impl WalkJob<'_> {
             });
         }
         outputs.iter().try_for_each(|result| claim(result))?;
-        claim(&covariances)?;
-        claim(&cross_check)?;
-        claim(&states)?;
-        claim(&motion)?;
-        let stages = context.kept_stages(self.out, &provenance)?;
+        let beside: Vec<PathBuf> = files.iter().flat_map(WalkFiles::beside).collect();
+        beside.iter().try_for_each(|file| claim(file))?;
+        let stages = files
+            .iter()
+            .map(|f| context.kept_stages(f.trajectory(), &provenance));
+        let stages: Vec<KeptStages> = stages.collect::<anyhow::Result<_>>()?;
+        let recordings: Vec<&Recording> = std::iter::once(&walk).chain(&others).collect();
+        let walks: Vec<_> = recordings.iter().copied().zip(&stages).collect();
         let show = |p| context.show(p);
-        let found = match &others[..] {
-            [] => ground_truth_in_stages(&walk, &hd_map, &config, &stages, &show),
-            others => {
-                let others: Vec<&Recording> = others.iter().collect();
-                ground_truth_together(&walk, &others, &hd_map, &config, &stages, &show)
+        let found = match &walks[..] {
+            [(walk, stages)] => {
+                let found = ground_truth_in_stages(walk, &hd_map, &config, stages, &show);
+                found.map(|found| vec![found])
+            }
+            walks => ground_truth_together(walks, &hd_map, &config, &show),
+        };
+        let kept = |found, kept: &KeptStages| kept.kept_if_stopped(found);
+        let found = super::about(self.recording, stages.iter().fold(found, kept))?;
+        let forget = || stages.iter().try_for_each(KeptStages::remove);
+        let mut said = match said_of(&recordings, &found, heard.as_deref()) {
+            Ok(said) => said.into_iter(),
+            Err(refused) => {
+                forget()?;
+                return Err(refused);
             }
         };
-        let found = super::about(self.recording, stages.kept_if_stopped(found))?;
-        let surroundings =
-            Surroundings::of(&walk, &found, heard.as_deref()).or_else(|refused| {
-                stages.remove()?;
-                Err(refused)
-            })?;
-        standing::forget(&outputs)?;
-        write_tum(self.out, &found.trajectory)?;
-        let poses = found.trajectory.poses().iter().zip(&found.covariances);
-        files::write(&covariances, covariance_file::text(NOT_IN_IT, poses))?;
-        files::write(&cross_check, disagreements(&found))?;
-        files::write(&states, states_text(&found))?;
-        motion_file::write(&found, &motion)?;
-        let beside = [covariances, cross_check, states, motion];
-        let said = Said {
-            report: found.report.clone(),
-            surroundings,
+        let (Some(own), Some(first)) = (said.next(), found.first()) else {
+            bail!("no walk was solved");
         };
-        provenance.with_failures(said.failures()).write(self.out)?;
+        let names = files.iter().skip(1).map(|f| files::name_of(f.trajectory()));
+        let said = Said {
+            with: names.zip(said).collect(),
+            ..own
+        };
+        standing::forget(&outputs)?;
+        let failed = provenance.with_failures(said.failures());
+        for (files, found) in files.iter().zip(&found) {
+            files.write(found)?;
+            failed.write(files.trajectory())?;
+        }
         if let Some(path) = self.out_report {
             let page = WalkPage {
                 name: &self.recording.display().to_string(),
                 map: &hd_map,
-                found: &found,
+                found: first,
                 findings: said.findings(),
                 provenance: &provenance,
             };
@@ -307,54 +337,37 @@ impl WalkJob<'_> {
             provenance.write(path)?;
         }
         standing::finish(&outputs, &beside, &provenance, &said)?;
-        stages.remove()?;
+        forget()?;
         Ok(WrittenTrajectory {
-            trajectory: found.trajectory,
+            trajectory: first.trajectory.clone(),
             said,
             provenance,
         })
     }
 }
 
-/// What the covariances leave out.
-const NOT_IN_IT: &str = "In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of\n\
-     the map around shares, its scale and its place, does not show in a walk and is not in it.";
-
-/// EuRoC's columns of a state (position and velocity in the world, rotation, biases of the IMU), and the turn rate, at the IMU's rate.
-fn states_text(found: &GroundTruth) -> String {
-    let [x, y, z]: [f64; 3] = found.gravity_m_s2.into();
-    let mut text = format!(
-        "# gravity in the world of these states: {x:.6} {y:.6} {z:.6} m/s^2\n\
-         #timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], \
-         v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], \
-         b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2], w_RS_S_x [rad s^-1], w_RS_S_y [rad s^-1], w_RS_S_z [rad s^-1]\n"
-    );
-    for state in &found.states {
-        let pose = &state.nav.world_from_rig;
-        let q = pose.rotation.quaternion();
-        let vectors = [
-            state.nav.velocity_m_s,
-            state.bias.gyro_rad_s,
-            state.bias.accel_m_s2,
-            state.turn_rate_rad_s,
-        ];
-        let turned = [q.w, q.i, q.j, q.k];
-        let cells = pose.translation.iter().chain(&turned);
-        let _ = write!(text, "{}", state.time.nanos());
-        for cell in cells.chain(vectors.iter().flatten()) {
-            let _ = write!(text, ",{cell:.9}");
+/// What is said of each walk; an error where barometer or radio forbid to solve walks together.
+fn said_of(
+    recordings: &[&Recording],
+    found: &[GroundTruth],
+    heard: Option<&[PlacedReading]>,
+) -> anyhow::Result<Vec<Said>> {
+    let mut all = Vec::with_capacity(found.len());
+    for (recording, found) in recordings.iter().zip(found) {
+        let surroundings = Surroundings::of(recording, found, heard)?;
+        let failed = surroundings.findings().find(|f| f.verdict == Verdict::Fail);
+        if let (Some(failed), true) = (failed, recordings.len() > 1) {
+            bail!(
+                "{}: this walk must not be solved together with others, which it would bend: {}",
+                recording.path().display(),
+                failed.sentence()
+            );
         }
-        text.push('\n');
+        all.push(Said {
+            report: found.report.clone(),
+            surroundings,
+            with: BTreeMap::new(),
+        });
     }
-    text
-}
-
-/// How far half of the map's points move each position.
-fn disagreements(found: &GroundTruth) -> String {
-    let mut text = String::from("# timestamp_s disagreement_m\n");
-    for (pose, moved_m) in found.trajectory.poses().iter().zip(&found.disagreements_m) {
-        // Writing into a string cannot fail.
-        let _ = writeln!(text, "{} {moved_m:.6}", pose.time);
-    }
-    text
+    Ok(all)
 }

@@ -58,6 +58,7 @@ pub mod survey;
 #[cfg(feature = "view")]
 pub mod view;
 pub mod vio;
+mod walk_files;
 
 use std::path::Path;
 

@@ -52,14 +52,23 @@ impl Running {
 
     /// Waits until it has said something.
     pub fn wait_for(&mut self, words: &str) {
-        wait_until(words, || {
-            let said = self.said();
-            if said.contains(words) {
-                return true;
-            }
+        let log = self.errors.path().to_owned();
+        let said = move || std::fs::read_to_string(&log).expect("what it says");
+        self.wait_until(words, || said().contains(words));
+    }
+
+    /// Waits until something holds that it brings about.
+    pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut() -> bool) {
+        wait_until(what, || {
+            // In this order: what a process did before it ended is not missed.
             let ended = self.process.try_wait().expect("status");
-            assert!(ended.is_none(), "ended before {words:?}: {said}");
-            false
+            let holds = holds();
+            assert!(
+                holds || ended.is_none(),
+                "ended before {what:?}: {}",
+                self.said()
+            );
+            holds
         });
     }
 

@@ -139,17 +139,25 @@ fn recorded_walks_are_solved_as_one_if_each_is_right() {
     let elsewhere = recorded("elsewhere.mcap", Paint::other_floor(1), WALK_FRAMES);
     let solve = |first: &Recording, other: &Recording| {
         let config = GroundTruthConfig::default();
-        ground_truth_together(
-            first,
-            &[other],
-            &map,
-            &config,
-            &KeptStages::none(),
-            &no_progress,
-        )
+        let none = KeptStages::none();
+        let walks = [(first, &none), (other, &none)];
+        ground_truth_together(&walks, &map, &config, &no_progress)
     };
-    let both = [solve(&long, &short), solve(&short, &long)];
-    let [a, b] = both.map(|solved| solved.expect("solved").report.together.expect("together"));
+    let both = [solve(&long, &short), solve(&short, &long)].map(|s| s.expect("solved"));
+    // Each walk is given, in the order in which it was named.
+    let lengths = both.each_ref().map(|given| {
+        let given: Vec<usize> = given.iter().map(|g| g.trajectory.len()).collect();
+        given
+    });
+    assert!(
+        lengths[0].len() == 2 && lengths[0][0] > lengths[0][1],
+        "{lengths:?}"
+    );
+    assert_eq!(
+        lengths[0],
+        lengths[1].iter().rev().copied().collect::<Vec<_>>()
+    );
+    let [a, b] = both.map(|given| given[0].report.together.expect("together"));
     assert!(a.map_points > 50 && a.common_points > 10, "{a:?}");
     assert_eq!(
         (a.map_points, a.common_points),
