@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 
 use lsfb_solver::{
-    Iteration, Problem, Report, SolveConfig, solve_controlled, solve_until_converged_controlled,
+    Diagnosis, Iteration, Problem, Report, SolveConfig, solve_controlled,
+    solve_until_converged_controlled,
 };
 use lsfb_types::{Progress, ProgressFn, Stopped};
 
@@ -38,6 +39,14 @@ impl<'a> Told<'a> {
     }
 }
 
+/// What is determined by how much is asked by whoever computes covariances; of a long walk it takes longer than to solve it.
+fn undiagnosed(config: &SolveConfig) -> SolveConfig {
+    SolveConfig {
+        diagnosis: Diagnosis::Off,
+        ..*config
+    }
+}
+
 /// [`lsfb_solver::solve`] with a line of progress for each iteration.
 pub(crate) fn solve_or_stop(
     stage: &'static str,
@@ -46,7 +55,7 @@ pub(crate) fn solve_or_stop(
     progress: ProgressFn<'_>,
 ) -> Result<Report, Error> {
     let mut told = Told::new(stage, progress);
-    let report = solve_controlled(problem, config, &mut |i| told.iteration(i))?;
+    let report = solve_controlled(problem, &undiagnosed(config), &mut |i| told.iteration(i))?;
     told.answer?;
     Ok(report)
 }
@@ -59,7 +68,8 @@ pub(crate) fn solve_until_converged(
     progress: ProgressFn<'_>,
 ) -> Result<Report, Error> {
     let mut told = Told::new(stage, progress);
-    let report = solve_until_converged_controlled(problem, config, &mut |i| told.iteration(i));
+    let config = undiagnosed(config);
+    let report = solve_until_converged_controlled(problem, &config, &mut |i| told.iteration(i));
     told.answer?;
     report.map_err(|error| match error {
         lsfb_solver::Error::NotConverged { iterations } => {

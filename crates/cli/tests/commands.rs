@@ -35,5 +35,6 @@ mod rig_files;
 mod running;
 mod seeds;
 mod session;
+mod shifts;
 mod sidecar_rig;
 mod vio;

@@ -20,6 +20,8 @@ const EXPLANATIONS: usize = 4;
 const ROUNDS_BOTH_WAYS: usize = 12;
 /// A localized pose agrees up to this norm of its whitened difference: what one of a million exceeds.
 const LARGEST_WHITENED: f64 = 6.2;
+/// The IMU is summed up over this long between the frames with which explanations are tried, seconds.
+const SUMMED_SECS: f64 = 0.09;
 /// The robust kernel on localized poses, in standard deviations.
 const KERNEL: Kernel = Kernel::Cauchy { scale: 2.0 };
 
@@ -57,34 +59,91 @@ pub(super) fn start_states(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Option<Start>, Error> {
+    let kept = telling_frames(walk)?;
+    let telling = walk.with_frames(&kept);
     let mut explanations: Vec<Explanation> = Vec::new();
-    for set in consistent_sets(walk, config)? {
+    for set in consistent_sets(&telling, config)? {
         if explanations.len() == EXPLANATIONS {
             break;
         }
         let explained = |e: &Explanation| set.iter().filter(|k| e.accepted[**k]).count();
         if explanations.iter().all(|e| 2 * explained(e) < set.len()) {
-            explanations.push(explain(walk, &set, config, progress)?);
+            explanations.push(explain(&telling, &set, config, progress)?);
         }
     }
     // The sort is stable: of equals the one that began with the larger set.
     explanations.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut explanations = explanations.into_iter();
-    Ok(explanations.next().map(|best| {
-        let contradicting = |other: Explanation| {
-            let begun = |k: usize| other.begun_with.binary_search(&k).is_ok();
-            let says = |k: usize| other.accepted[k] || begun(k);
-            (0..walk.frames.len())
-                .filter(|k| says(*k) && !best.accepted[*k])
-                .count()
-        };
-        Start {
-            rival_count: explanations.map(contradicting).max().unwrap_or(0),
-            accepted_count: best.count(),
-            states: best.states,
-            accepted: best.accepted,
+    let Some(best) = explanations.next() else {
+        return Ok(None);
+    };
+    let contradicting = |other: Explanation| {
+        let begun = |k: usize| other.begun_with.binary_search(&k).is_ok();
+        let says = |k: usize| other.accepted[k] || begun(k);
+        (0..kept.len())
+            .filter(|k| says(*k) && !best.accepted[*k])
+            .count()
+    };
+    let rival_count = explanations.map(contradicting).max().unwrap_or(0);
+    let mut accepted = vec![false; walk.frames.len()];
+    for (frame, is_accepted) in kept.iter().zip(&best.accepted) {
+        accepted[*frame] = *is_accepted;
+    }
+    let accepted_count = best.count();
+    let states = match kept.len() == walk.frames.len() {
+        true => best.states,
+        false => {
+            let between = between(walk, &kept, &best.states);
+            fit(walk, &between, &accepted, config, progress)?.states
         }
+    };
+    Ok(Some(Start {
+        rival_count,
+        accepted_count,
+        states,
+        accepted,
     }))
+}
+
+/// Frames that tell one explanation from another: the localized ones, those around what the IMU did not measure, and so many between them
+/// that it is never summed up for long.
+fn telling_frames(walk: &Walk) -> Result<Vec<usize>, Error> {
+    let count = walk.frames.len();
+    if !walk.has_imu() {
+        return Ok((0..count).collect());
+    }
+    let covered = walk.is_covered_by_imu()?;
+    let is_covered =
+        |interval: Option<usize>| interval.is_some_and(|k| covered.get(k) == Some(&true));
+    let mut kept: Vec<usize> = Vec::new();
+    for (k, frame) in walk.frames.iter().enumerate() {
+        let is_inside = is_covered(k.checked_sub(1)) && is_covered(Some(k));
+        let last = kept.last().map(|last| walk.frames[*last].time);
+        let is_due = last.is_none_or(|last| frame.time.secs_since(last) >= SUMMED_SECS);
+        if frame.localized.is_some() || !is_inside || is_due {
+            kept.push(k);
+        }
+    }
+    Ok(kept)
+}
+
+/// States of all frames by those of some, the first and the last among them.
+fn between(walk: &Walk, kept: &[usize], states: &[FrameState]) -> Vec<FrameState> {
+    let known = kept.iter().zip(states).map(|(frame, state)| StampedPose {
+        time: walk.frames[*frame].time,
+        world_from_rig: state.nav.world_from_rig,
+    });
+    let poses = Trajectory::new(known.collect());
+    let frames = walk.frames.iter().enumerate();
+    let all = frames.map(|(k, frame)| {
+        let before = kept.partition_point(|kept| *kept <= k).saturating_sub(1);
+        let mut state = states[before];
+        if let Some(pose) = poses.at(frame.time) {
+            state.nav.world_from_rig = pose;
+        }
+        state
+    });
+    all.collect()
 }
 
 /// States, and the localized poses that agree with them.

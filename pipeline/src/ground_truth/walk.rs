@@ -89,6 +89,24 @@ impl Walk {
         !self.imu.is_empty()
     }
 
+    /// The same walk with some of its frames, in order, and without what was recognised in them.
+    pub fn with_frames(&self, kept: &[usize]) -> Self {
+        let frame = |k: &usize| Frame {
+            time: self.frames[*k].time,
+            localized: self.frames[*k].localized,
+            recognised: Vec::new(),
+            fixed: Vec::new(),
+        };
+        Self {
+            cameras: self.cameras.clone(),
+            frames: kept.iter().map(frame).collect(),
+            imu: self.imu.clone(),
+            noise: self.noise.clone(),
+            noise_factors: BTreeMap::new(),
+            point_covariances_m2: Arc::clone(&self.point_covariances_m2),
+        }
+    }
+
     /// Takes the noise of the IMU so many times as large in all intervals.
     pub fn loosen_imu(&mut self, noise_factor: f64) {
         let frames = 0..self.frames.len();

@@ -97,6 +97,8 @@ pub fn find_tracks(
             Ok(pair)
         })
         .collect();
+    // Descriptors as they are compared: of a long walk gigabytes.
+    drop(prepared);
     let counts: Vec<usize> = images.iter().map(|i| i.features.len()).collect();
     let min_views = config.triangulation.min_views.max(2);
     Ok(build_tracks(&counts, &matched?, min_views))

@@ -1,0 +1,93 @@
+//! Places of the twin have no texture that comes again a few metres on: what a map does not have is found nowhere in it by being moved along.
+
+use std::path::Path;
+
+use lsfb_pipeline::features::FeatureDetector;
+use lsfb_pipeline::hd_map::{PosedMapConfig, build_map_from_posed_images};
+use lsfb_pipeline::localization::{Localizer, LocalizerConfig, localize_posed_images};
+use lsfb_pipeline::posed_images::{PosedImage, PosedImages};
+use lsfb_sim::{Device, Look, Place, SimConfig, Simulation, preview::Picture};
+use lsfb_types::no_progress;
+
+/// Images along a walk: every other one is mapped, the others are looked for.
+const IMAGES: u32 = 160;
+/// A pose is right within this distance, metres; what repeats does so after more.
+const RIGHT_M: f64 = 0.5;
+/// What repeats along a wall is seen from the same direction, degrees.
+const SAME_DIRECTION_DEG: f64 = 20.0;
+
+/// Images along the whole walk of a phone, at their true poses.
+fn walk_through(place: Place, folder: &Path) -> PosedImages {
+    let mut config = SimConfig::for_place(place, Device::Iphone);
+    (config.seed, config.look, config.texel_m) = (5, Look::Detailed, 0.006);
+    config.scan.duration_s = 1.0;
+    let cameras = &mut config.glasses_cameras;
+    (cameras.width, cameras.height) = (480, 360);
+    (cameras.motion_blur, cameras.readout_ns) = (false, 0);
+    let simulation = Simulation::new(&config, &no_progress).expect("valid");
+    let phone = simulation.glasses();
+    let (name, _) = phone.rig().cameras.first_key_value().expect("a camera");
+    let images = (0..IMAGES).map(|k| {
+        let frame = phone.frame_count() * (2 * k + 1) / (2 * IMAGES);
+        let image = phone.image(simulation.world(), 0, frame).expect("a camera");
+        let path = folder.join(format!("{k}.png"));
+        let picture = Picture {
+            width: image.sample.width as usize,
+            height: image.sample.height as usize,
+            pixels: image.sample.pixels,
+        };
+        picture.write_png(&path).expect("written");
+        let at_s = phone.frame_offset_ns(frame) as f64 * 1e-9;
+        PosedImage {
+            path,
+            camera: name.clone(),
+            world_from_rig: phone.walk().at(at_s).world_from_rig,
+            instant: None,
+        }
+    });
+    PosedImages {
+        images: images.collect(),
+        rig: phone.rig().clone(),
+        notes: Vec::new(),
+    }
+}
+
+/// Some of the images of a walk.
+fn some(walk: &PosedImages, wanted: impl Fn(usize) -> bool) -> PosedImages {
+    let images = walk.images.iter().enumerate();
+    let wanted = images.filter(|(k, _)| wanted(*k));
+    PosedImages {
+        images: wanted.map(|(_, image)| image.clone()).collect(),
+        rig: walk.rig.clone(),
+        notes: Vec::new(),
+    }
+}
+
+/// Halves of a walk are mapped, and images of all of it looked for. Things that are the same in two places may be taken for one another
+/// (`docs/known-faults.md`): they are seen from another direction there, or from much nearer.
+#[test]
+fn what_a_map_does_not_have_is_not_found_by_moving_along() {
+    for place in [Place::WideCorridor, Place::ExhibitionHall] {
+        let folder = tempfile::tempdir().expect("folder");
+        let walk = walk_through(place, folder.path());
+        let queries = some(&walk, |k| k % 2 == 1);
+        let half = IMAGES as usize / 2;
+        for number in [0, 1] {
+            let mapped = some(&walk, |k| k % 2 == 0 && k / half == number);
+            let config = PosedMapConfig::default();
+            let map = build_map_from_posed_images(&mapped, &config, &no_progress).expect("a map");
+            let localizer = Localizer::new(&map, &LocalizerConfig::default()).expect("an index");
+            let detector = FeatureDetector::new(&config.sift, None).expect("SIFT");
+            let found = localize_posed_images(&localizer, &queries, &detector, &no_progress);
+            let found = found.expect("localized");
+            let given = found
+                .iter()
+                .filter_map(|f| Some((f.distance_m()?, f.angle_deg()?)));
+            let given: Vec<(f64, f64)> = given.collect();
+            assert!(given.len() > half / 4, "{}: {given:?}", place.name());
+            let is_moved =
+                |(off_m, off_deg): &(f64, f64)| *off_m > RIGHT_M && *off_deg < SAME_DIRECTION_DEG;
+            assert!(!given.iter().any(is_moved), "{}: {given:?}", place.name());
+        }
+    }
+}
