@@ -44,7 +44,7 @@ pub fn dense_jacobian(problem: &Problem) -> Result<DenseJacobian, Error> {
         }
         columns.push(own);
     }
-    let dimension = |k: &u32| problem.residuals[*k as usize].dimension;
+    let dimension = |k: &u32| problem.residuals[*k as usize].rows();
     let height = layout.order.iter().map(dimension).sum();
     let mut residual = DVector::zeros(height);
     let mut matrix = DMatrix::zeros(height, width);

@@ -43,7 +43,7 @@ impl Evaluation {
         let dimensions = layout
             .order
             .iter()
-            .map(|k| problem.residuals[*k as usize].dimension);
+            .map(|k| problem.residuals[*k as usize].rows());
         Self {
             active: vec![true; count],
             costs: vec![0.0; count],
@@ -112,7 +112,7 @@ impl Evaluation {
                 continue;
             }
             let entry = &problem.residuals[layout.order[position] as usize];
-            let record = &mut scratch[..entry.dimension];
+            let record = &mut scratch[..entry.rows()];
             *cost = match evaluate(problem, layout, position, values, record, false) {
                 Ok(()) => {
                     let kernel = entry.kernel.relaxed(self.relaxation);
@@ -160,7 +160,7 @@ impl Evaluation {
             }
             let entry = &problem.residuals[layout.order[k] as usize];
             let kernel = entry.kernel.relaxed(self.relaxation);
-            let weight = kernel.at(squared_norm(&record[..entry.dimension])).weight;
+            let weight = kernel.at(squared_norm(&record[..entry.rows()])).weight;
             if weight != 1.0 {
                 let root = weight.sqrt();
                 record.iter_mut().for_each(|x| *x *= root);
@@ -196,17 +196,14 @@ pub(crate) fn evaluate(
     with_jacobians: bool,
 ) -> Result<(), Undefined> {
     let slots = layout.slots_of(position);
-    match &problem.residuals[layout.order[position] as usize].residual {
-        Some(residual) => residual.evaluate(
-            &Parameters { values, slots },
-            &mut Linearization {
-                record,
-                slots,
-                with_jacobians,
-            },
-        ),
-        None => Err(Undefined),
-    }
+    problem.residuals[layout.order[position] as usize].evaluate(
+        &Parameters { values, slots },
+        &mut Linearization {
+            record,
+            slots,
+            with_jacobians,
+        },
+    )
 }
 
 pub(crate) fn squared_norm(residual: &[f64]) -> f64 {

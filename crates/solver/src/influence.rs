@@ -103,7 +103,7 @@ impl Factored {
             position..position + 1,
             &mut record,
         );
-        let rows = problem.residuals[layout.order[position] as usize].dimension;
+        let rows = problem.residuals[layout.order[position] as usize].rows();
         let mut moves = DMatrix::zeros(inverse.nrows(), rows);
         for slot in layout.slots_of(position) {
             if slot.jacobian == CONSTANT {

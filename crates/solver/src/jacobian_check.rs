@@ -25,7 +25,7 @@ fn check_residual(
 ) -> Result<(), Error> {
     let k = layout.order[position] as usize;
     let undefined = |Undefined| Error::Undefined { residual: k };
-    let dimension = problem.residuals[k].dimension;
+    let dimension = problem.residuals[k].rows();
     let mut record =
         vec![f64::NAN; layout.record_start[position + 1] - layout.record_start[position]];
     evaluate(

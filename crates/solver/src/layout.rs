@@ -240,7 +240,7 @@ impl Layout {
                 }
             }
             let first = self.slots.len() as u32;
-            let dimension = entry.dimension;
+            let dimension = entry.rows();
             let mut next = dimension;
             for block in problem.blocks_of(ResidualId(k as usize)) {
                 let entry = &problem.blocks[block.0];

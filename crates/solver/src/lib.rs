@@ -45,5 +45,5 @@ pub use minimise::{solve, solve_controlled};
 pub use priors::{DirectionPrior, PosePrior, RotationPrior, VectorPrior};
 pub use problem::{Block, BlockId, Problem, ResidualId};
 pub use report::{Iteration, Report, Termination, Undetermined};
-pub use residual::{Linearization, Parameters, Residual, Undefined};
+pub use residual::{Linearization, Parameters, Residual, ResidualSet, Undefined};
 pub use robust::{Kernel, Robust};

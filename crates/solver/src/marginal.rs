@@ -83,7 +83,7 @@ pub fn marginal(problem: &Problem, blocks: &[BlockId]) -> Result<Marginal, Error
         let mut record = vec![0.0; length];
         let range = position..position + 1;
         evaluation.linearize(problem, &layout, &problem.values, range, &mut record);
-        let rows = problem.residuals[*residual as usize].dimension;
+        let rows = problem.residuals[*residual as usize].rows();
         let mut columns = vec![(last, record[..rows].to_vec())];
         for slot in layout.slots_of(position) {
             if slot.jacobian == CONSTANT {

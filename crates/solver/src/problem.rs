@@ -6,8 +6,10 @@ use lsfb_geometry::Vector3;
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 
-use crate::residual::ALL;
-use crate::{Error, Kernel, Manifold, Residual, Shape};
+use crate::residual::{ALL, Single};
+use crate::{
+    Error, Kernel, Linearization, Manifold, Parameters, Residual, ResidualSet, Shape, Undefined,
+};
 
 /// Handle of a block, without the type of its value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -106,11 +108,31 @@ impl BlockEntry {
 #[derive(Clone)]
 pub(crate) struct ResidualEntry {
     /// `None` once it was removed.
-    pub residual: Option<Arc<dyn Residual>>,
-    pub dimension: usize,
+    pub residual: Option<Arc<dyn ResidualSet>>,
+    /// Its number in the set.
+    pub number: u32,
+    pub dimension: u32,
     pub kernel: Kernel,
     /// Range of its blocks in `block_lists`; the same as that of the residual before it where these are the same.
     pub blocks: [u32; 2],
+}
+
+impl ResidualEntry {
+    /// Rows of the residual.
+    pub fn rows(&self) -> usize {
+        self.dimension as usize
+    }
+
+    /// Evaluates it; `Undefined` once it was removed.
+    #[inline]
+    pub fn evaluate(
+        &self,
+        parameters: &Parameters<'_>,
+        out: &mut Linearization<'_>,
+    ) -> Result<(), Undefined> {
+        let residual = self.residual.as_ref().ok_or(Undefined)?;
+        residual.evaluate(self.number, parameters, out)
+    }
 }
 
 /// Range of one component of a vector block.
@@ -326,8 +348,19 @@ impl Problem {
         blocks: &[BlockId],
         kernel: Kernel,
     ) -> Result<ResidualId, Error> {
+        self.add_residual_of(Arc::new(Single(residual)), 0, blocks, kernel)
+    }
+
+    /// Adds the residual of this number of a set on `blocks`.
+    pub fn add_residual_of(
+        &mut self,
+        set: Arc<dyn ResidualSet>,
+        number: u32,
+        blocks: &[BlockId],
+        kernel: Kernel,
+    ) -> Result<ResidualId, Error> {
         let index = self.residuals.len();
-        self.check_blocks(index, &residual, blocks)?;
+        self.check_blocks(index, &*set, blocks)?;
         kernel.check()?;
         let last = index.checked_sub(1).map(ResidualId);
         let list = match last.filter(|last| self.blocks_of(*last) == blocks) {
@@ -346,8 +379,9 @@ impl Problem {
             }
         };
         self.residuals.push(ResidualEntry {
-            dimension: residual.dimension(),
-            residual: Some(Arc::new(residual)),
+            dimension: set.dimension() as u32,
+            residual: Some(set),
+            number,
             kernel,
             blocks: list,
         });
@@ -384,7 +418,7 @@ impl Problem {
     fn check_blocks(
         &self,
         index: usize,
-        residual: &dyn Residual,
+        residual: &dyn ResidualSet,
         blocks: &[BlockId],
     ) -> Result<(), Error> {
         let shapes = residual.blocks();

@@ -23,6 +23,47 @@ pub trait Residual: Send + Sync {
     ) -> Result<(), Undefined>;
 }
 
+/// Residuals of one kind that share what they hold and have numbers: where there are millions of them, memory for each would be much.
+///
+/// All have as many rows and read blocks of the same shapes; the rest is as [`Residual`] has it.
+pub trait ResidualSet: Send + Sync {
+    /// Rows of each.
+    fn dimension(&self) -> usize;
+
+    /// The blocks that each reads.
+    fn blocks(&self) -> &[Shape];
+
+    /// Evaluates the residual of this number; [`Undefined`] where there is none.
+    fn evaluate(
+        &self,
+        number: u32,
+        parameters: &Parameters<'_>,
+        out: &mut Linearization<'_>,
+    ) -> Result<(), Undefined>;
+}
+
+/// A residual by itself.
+pub(crate) struct Single<R>(pub R);
+
+impl<R: Residual> ResidualSet for Single<R> {
+    fn dimension(&self) -> usize {
+        self.0.dimension()
+    }
+
+    fn blocks(&self) -> &[Shape] {
+        self.0.blocks()
+    }
+
+    fn evaluate(
+        &self,
+        _number: u32,
+        parameters: &Parameters<'_>,
+        out: &mut Linearization<'_>,
+    ) -> Result<(), Undefined> {
+        self.0.evaluate(parameters, out)
+    }
+}
+
 /// The residual has no value here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Undefined;

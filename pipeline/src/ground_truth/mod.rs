@@ -16,6 +16,7 @@ mod accel_axes;
 mod config;
 mod consensus;
 mod cross_check;
+mod dead_reckoning;
 mod dense;
 mod drift;
 mod estimate;

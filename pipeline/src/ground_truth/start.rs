@@ -5,21 +5,24 @@ use lsfb_solver::{Kernel, PosePrior, Problem};
 use lsfb_types::ProgressFn;
 
 use super::consensus::consistent_sets;
+use super::dead_reckoning::DeadReckoning;
 use super::drift::drifts;
 use super::inertial::add_inertial_residuals;
 use super::walk::{FrameState, LocalizedPose, Walk};
 use super::{GroundTruthConfig, LocalizedInstant};
 use crate::Error;
 use crate::inertial_blocks::StateBlocks;
-use crate::preintegration::{ImuBias, NavState};
+use crate::preintegration::{ImuBias, NavState, standard_gravity_m_s2};
 use crate::solve::solve_until_converged;
 
 /// Explanations of a walk that are tried, the one of the largest consistent set first.
 const EXPLANATIONS: usize = 4;
-/// Rounds in which what was rejected may come back; after them it may not, so that an end is reached.
-const ROUNDS_BOTH_WAYS: usize = 12;
+/// A localized pose that was refused so often does not come back, so that an end is reached.
+const TIMES_REFUSED: usize = 3;
 /// A localized pose agrees up to this norm of its whitened difference: what one of a million exceeds.
 const LARGEST_WHITENED: f64 = 6.2;
+/// What is foretold with a larger standard deviation is looked at after what is foretold better, metres.
+const FORETOLD_M: f64 = 0.3;
 /// The IMU is summed up over this long between the frames with which explanations are tried, seconds.
 const SUMMED_SECS: f64 = 0.09;
 /// The robust kernel on localized poses, in standard deviations.
@@ -61,14 +64,16 @@ pub(super) fn start_states(
 ) -> Result<Option<Start>, Error> {
     let kept = telling_frames(walk)?;
     let telling = walk.with_frames(&kept);
+    let imu = DeadReckoning::of(&telling)?;
     let mut explanations: Vec<Explanation> = Vec::new();
-    for set in consistent_sets(&telling, config)? {
+    let sets = consistent_sets(&telling, config)?;
+    for set in &sets {
         if explanations.len() == EXPLANATIONS {
             break;
         }
         let explained = |e: &Explanation| set.iter().filter(|k| e.accepted[**k]).count();
         if explanations.iter().all(|e| 2 * explained(e) < set.len()) {
-            explanations.push(explain(&telling, &set, config, progress)?);
+            explanations.push(explain(&telling, &imu, &sets, set, config, progress)?);
         }
     }
     // The sort is stable: of equals the one that began with the larger set.
@@ -93,8 +98,11 @@ pub(super) fn start_states(
     let states = match kept.len() == walk.frames.len() {
         true => best.states,
         false => {
-            let between = between(walk, &kept, &best.states);
-            fit(walk, &between, &accepted, config, progress)?.states
+            let mut states = States::unknown(walk.frames.len());
+            states.of_frames = between(walk, &kept, &best.states);
+            let imu = DeadReckoning::of(walk)?;
+            states.fit(walk, &imu, &accepted, config, progress)?;
+            states.of_frames
         }
     };
     Ok(Some(Start {
@@ -163,47 +171,85 @@ impl Explanation {
     }
 }
 
-/// Begins with a set of localized poses; after every solve all are looked at again, those in use and those that are not.
+/// Begins with a set of localized poses, and goes on from it to those that the IMU leads to; after every solve all are looked at again, those in
+/// use and those that are not.
 fn explain(
     walk: &Walk,
-    set: &[usize],
+    imu: &DeadReckoning,
+    sets: &[Vec<usize>],
+    begun_with: &[usize],
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Explanation, Error> {
-    let mut accepted = vec![false; walk.frames.len()];
-    for frame in set {
+    let count = walk.frames.len();
+    let mut accepted = vec![false; count];
+    for frame in begun_with {
         accepted[*frame] = true;
     }
-    let mut states = guess(walk, &accepted);
-    let mut cost = f64::INFINITY;
-    for round in 1.. {
-        let fitted = fit(walk, &states, &accepted, config, progress)?;
-        (states, cost) = (fitted.states, fitted.cost);
+    let mut states = States::unknown(count).joined(walk, imu, &accepted);
+    let mut refused = vec![0; count];
+    let cost = loop {
+        let cost = states.fit(walk, imu, &accepted, config, progress)?;
         let drifts = drifts(walk, &accepted, config)?;
+        let may = |k: usize| refused[k] < TIMES_REFUSED;
         let agrees = |k: usize| {
-            let pose = &states[k].nav.world_from_rig;
-            let may = accepted[k] || round <= ROUNDS_BOTH_WAYS;
-            may && walk.frames[k].localized.is_some_and(|localized| {
-                let covariance = spread(&localized, config) + drifts[k];
-                whitened_norm(&localized.world_from_rig, pose, &covariance) <= LARGEST_WHITENED
-            })
+            let pose = &states.of_frames[k].nav.world_from_rig;
+            may(k)
+                && walk.frames[k].localized.is_some_and(|localized| {
+                    let covariance = spread(&localized, config) + drifts[k];
+                    whitened_norm(&localized.world_from_rig, pose, &covariance) <= LARGEST_WHITENED
+                })
         };
-        let next: Vec<bool> = (0..walk.frames.len()).map(agrees).collect();
-        if next == accepted || !next.contains(&true) {
-            accepted = next;
-            break;
+        let agreeing: Vec<bool> = (0..count).map(agrees).collect();
+        let drift_m = |k: usize| drifts[k][(3, 3)].sqrt();
+        let next = next_accepted(&accepted, &agreeing, drift_m, sets, may);
+        let is_last = next == accepted || !next.contains(&true);
+        for (times, (was, is)) in refused.iter_mut().zip(accepted.iter().zip(&next)) {
+            *times += usize::from(*was && !is);
         }
         accepted = next;
-    }
+        if is_last {
+            break cost;
+        }
+        states = states.joined(walk, imu, &accepted);
+    };
     let localized = walk.frames.iter().filter(|f| f.localized.is_some()).count();
     let refused = localized - accepted.iter().filter(|accepted| **accepted).count();
     let each = 0.5 * KERNEL.at(LARGEST_WHITENED.powi(2)).cost;
     Ok(Explanation {
-        begun_with: set.to_vec(),
-        states,
+        begun_with: begun_with.to_vec(),
+        states: states.of_frames,
         accepted,
         cost: cost + refused as f64 * each,
     })
+}
+
+/// Which localized poses are accepted next: of those that agree the ones that were, the ones that the IMU foretells well, and the rest of their
+/// sets, where most of those that it foretells well agree; where it foretells none well, the ones that it foretells best. What is foretold badly
+/// agrees anyhow: it waits until more is known.
+fn next_accepted(
+    accepted: &[bool],
+    agreeing: &[bool],
+    drift_m: impl Fn(usize) -> f64,
+    sets: &[Vec<usize>],
+    may: impl Fn(usize) -> bool,
+) -> Vec<bool> {
+    let new = |k: &usize| agreeing[*k] && !accepted[*k];
+    let of_new = (0..accepted.len()).filter(new).map(&drift_m);
+    let reach_m = of_new.fold(f64::INFINITY, f64::min).max(FORETOLD_M);
+    let is_in_reach = |k: &usize| drift_m(*k) <= reach_m;
+    let comes = |k: usize| agreeing[k] && (accepted[k] || is_in_reach(&k));
+    let mut next: Vec<bool> = (0..accepted.len()).map(comes).collect();
+    for set in sets {
+        let in_reach = set.iter().filter(|k| is_in_reach(k));
+        let agree = in_reach.clone().filter(|k| agreeing[**k]).count();
+        if 2 * agree > in_reach.count() {
+            for k in set.iter().filter(|k| may(**k) && !is_in_reach(k)) {
+                next[*k] = true;
+            }
+        }
+    }
+    next
 }
 
 /// Covariance of a localized pose: what is claimed for this one, and what holds for all.
@@ -226,90 +272,106 @@ fn whitened_norm(localized: &Se3, fitted: &Se3, covariance: &Matrix6<f64>) -> f6
         .map_or(f64::INFINITY, |whitened| whitened.norm())
 }
 
-/// Poses on lines between the accepted ones, velocities from them, no bias.
-fn guess(walk: &Walk, accepted: &[bool]) -> Vec<FrameState> {
-    let known = walk.frames.iter().zip(accepted).filter(|(_, a)| **a);
-    let known = Trajectory::new(
-        known
-            .filter_map(|(frame, _)| {
-                Some(StampedPose {
-                    time: frame.time,
-                    world_from_rig: frame.localized?.world_from_rig,
-                })
-            })
-            .collect(),
-    );
-    let poses: Vec<Se3> = walk
-        .frames
-        .iter()
-        .map(|frame| {
-            let end = if known.poses().first().is_some_and(|p| frame.time < p.time) {
-                known.poses().first()
-            } else {
-                known.poses().last()
-            };
-            known
-                .at(frame.time)
-                .or(end.map(|p| p.world_from_rig))
-                .unwrap_or(Se3::identity())
-        })
-        .collect();
-    (0..poses.len())
-        .map(|k| {
-            let (before, after) = (k.saturating_sub(1), (k + 1).min(poses.len() - 1));
-            let span = walk.frames[after].time.secs_since(walk.frames[before].time);
-            let moved = poses[after].translation - poses[before].translation;
-            let velocity_m_s = if span > 0.0 {
-                moved / span
-            } else {
-                Vector3::zeros()
-            };
-            FrameState {
-                nav: NavState {
-                    world_from_rig: poses[k],
-                    velocity_m_s,
-                },
-                bias: ImuBias::default(),
-            }
-        })
-        .collect()
+/// States of all frames while it is found out which localized poses belong together.
+struct States {
+    of_frames: Vec<FrameState>,
+    /// Frames whose poses were solved for with a localized one.
+    held: Vec<bool>,
+    /// In the world, m/s².
+    gravity_m_s2: Vector3<f64>,
 }
 
-struct Fitted {
-    states: Vec<FrameState>,
-    cost: f64,
-}
-
-/// Solves for the states with the accepted localized poses and the IMU.
-fn fit(
-    walk: &Walk,
-    states: &[FrameState],
-    accepted: &[bool],
-    config: &GroundTruthConfig,
-    progress: ProgressFn<'_>,
-) -> Result<Fitted, Error> {
-    let mut problem = Problem::new();
-    let blocks: Vec<StateBlocks> = states
-        .iter()
-        .map(|state| StateBlocks::add(&mut problem, state))
-        .collect();
-    for (k, state) in blocks.iter().enumerate() {
-        let localized = walk.frames[k].localized.filter(|_| accepted[k]);
-        let prior = localized.and_then(|localized| {
-            let factor = spread(&localized, config).cholesky()?;
-            Some(PosePrior {
-                value: localized.world_from_rig,
-                sqrt_information: factor.l().solve_lower_triangular(&Matrix6::identity())?,
-            })
-        });
-        if let Some(prior) = prior {
-            problem.add_residual(prior, &[state.pose.id()], KERNEL)?;
+impl States {
+    fn unknown(count: usize) -> Self {
+        let nowhere = FrameState {
+            nav: NavState {
+                world_from_rig: Se3::identity(),
+                velocity_m_s: Vector3::zeros(),
+            },
+            bias: ImuBias::default(),
+        };
+        Self {
+            of_frames: vec![nowhere; count],
+            held: vec![false; count],
+            gravity_m_s2: standard_gravity_m_s2(),
         }
     }
-    add_inertial_residuals(&mut problem, walk, 0, &blocks, config)?;
-    let report = solve_until_converged("first states", &mut problem, &config.solve, progress)?;
-    Ok(Fitted {
-        states: blocks.iter().map(|b| b.read(&problem)).collect(),
-        cost: report.final_cost,
-    })
+
+    /// Leads through the localized poses that are accepted and held nothing in the last solve: where the IMU led without them may be so far off
+    /// that the kernel would let go of them.
+    fn joined(mut self, walk: &Walk, imu: &DeadReckoning, accepted: &[bool]) -> Self {
+        let pose = |k: usize| match self.held[k] {
+            true => Some(self.of_frames[k].nav.world_from_rig),
+            false => Some(walk.frames[k].localized?.world_from_rig),
+        };
+        let of_accepted = (0..accepted.len()).filter(|k| accepted[*k]);
+        let known: Vec<(usize, Se3)> = of_accepted.filter_map(|k| Some((k, pose(k)?))).collect();
+        let solved = self.held.iter().position(|held| *held);
+        let mut bias = solved.map_or(ImuBias::default(), |k| self.of_frames[k].bias);
+        for pair in known.windows(2) {
+            let [from, to] = [pair[0], pair[1]];
+            let [from_held, to_held] = [from, to].map(|(k, _)| self.held[k]);
+            if from_held {
+                bias = self.of_frames[from.0].bias;
+            }
+            if from_held && to_held {
+                continue;
+            }
+            let between = imu.between([from, to], bias, &self.gravity_m_s2);
+            for (k, state) in (from.0..=to.0).zip(between) {
+                let is_solved = (k == from.0 && from_held) || (k == to.0 && to_held);
+                if !is_solved {
+                    self.of_frames[k] = state;
+                }
+            }
+        }
+        self
+    }
+
+    /// Solves for the states with the accepted localized poses and the IMU; before the first and behind the last of them the IMU alone leads.
+    /// Returns the cost.
+    fn fit(
+        &mut self,
+        walk: &Walk,
+        imu: &DeadReckoning,
+        accepted: &[bool],
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<f64, Error> {
+        let first = accepted.iter().position(|accepted| *accepted);
+        let last = accepted.iter().rposition(|accepted| *accepted);
+        let (Some(first), Some(last)) = (first, last) else {
+            return Ok(0.0);
+        };
+        let span = first..last + 1;
+        let mut problem = Problem::new();
+        let blocks: Vec<StateBlocks> = self.of_frames[span.clone()]
+            .iter()
+            .map(|state| StateBlocks::add(&mut problem, state))
+            .collect();
+        for (k, state) in span.clone().zip(&blocks) {
+            let localized = walk.frames[k].localized.filter(|_| accepted[k]);
+            let prior = localized.and_then(|localized| {
+                let factor = spread(&localized, config).cholesky()?;
+                Some(PosePrior {
+                    value: localized.world_from_rig,
+                    sqrt_information: factor.l().solve_lower_triangular(&Matrix6::identity())?,
+                })
+            });
+            if let Some(prior) = prior {
+                problem.add_residual(prior, &[state.pose.id()], KERNEL)?;
+            }
+        }
+        let inertial = add_inertial_residuals(&mut problem, walk, span.start, &blocks, config)?;
+        let report = solve_until_converged("first states", &mut problem, &config.solve, progress)?;
+        for (state, block) in self.of_frames[span.clone()].iter_mut().zip(&blocks) {
+            *state = block.read(&problem);
+        }
+        if let Some(inertial) = inertial {
+            self.gravity_m_s2 = problem.value(inertial.gravity);
+        }
+        imu.carry_on(&mut self.of_frames, span, &self.gravity_m_s2);
+        self.held = accepted.to_vec();
+        Ok(report.final_cost)
+    }
 }

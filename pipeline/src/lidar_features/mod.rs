@@ -18,6 +18,8 @@ use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
 
+use crate::residuals::{LidarEdge, LidarPlane};
+
 pub use offset::ScanOffset;
 pub use reduced::{POINTS_PER_BEND, SparseScan};
 
@@ -77,12 +79,34 @@ pub struct LidarFeatures {
 }
 
 /// ⁿp on the plane (ᵐq, ᵐn).
+///
+/// Numbers have seven digits, a hundredth of a millimetre at a hundred metres: ten minutes of a walk have twenty million matches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneMatch {
-    /// Point in keyframe n.
-    pub point_in_n: Vector3<f64>,
-    /// Plane in keyframe m.
-    pub plane_in_m: Plane,
+    point_in_n: Vector3<f32>,
+    point_in_m: Vector3<f32>,
+    normal_in_m: Vector3<f32>,
+}
+
+impl PlaneMatch {
+    /// A point in keyframe n that lies on a plane in keyframe m.
+    pub fn new(point_in_n: &Vector3<f64>, plane_in_m: &Plane) -> Self {
+        Self {
+            point_in_n: point_in_n.cast(),
+            point_in_m: plane_in_m.point.cast(),
+            normal_in_m: plane_in_m.normal.cast(),
+        }
+    }
+
+    /// How far the point is off the plane, by the poses of the keyframes.
+    pub fn residual(&self, sigma_m: f64) -> LidarPlane {
+        LidarPlane {
+            point_in_n: self.point_in_n.cast(),
+            point_in_m: self.point_in_m.cast(),
+            normal_in_m: self.normal_in_m.cast(),
+            sigma_m,
+        }
+    }
 }
 
 /// ⁿp on the edge (ᵐq, ᵐl).
@@ -92,6 +116,18 @@ pub struct EdgeMatch {
     pub point_in_n: Vector3<f64>,
     /// Edge in keyframe m.
     pub edge_in_m: Edge,
+}
+
+impl EdgeMatch {
+    /// How far the point is off the edge, by the poses of the keyframes.
+    pub fn residual(&self, sigma_m: f64) -> LidarEdge {
+        LidarEdge {
+            point_in_n: self.point_in_n,
+            point_in_m: self.edge_in_m.point,
+            direction_in_m: self.edge_in_m.direction,
+            sigma_m,
+        }
+    }
 }
 
 /// What two keyframes see both.
@@ -232,10 +268,7 @@ pub fn correspond(
         let plane_in_m = m
             .surfaces
             .find(&point, &normal, config.gate_m, min_cosine)?;
-        Some(PlaneMatch {
-            point_in_n: plane.point,
-            plane_in_m,
-        })
+        Some(PlaneMatch::new(&plane.point, &plane_in_m))
     });
     let edges = n.edges.iter().filter_map(|edge| {
         let point = *m_from_n * edge.point;

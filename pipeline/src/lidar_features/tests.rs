@@ -1,6 +1,5 @@
 use super::*;
 use crate::odometry::tests::room::{self, Room};
-use crate::residuals::{LidarEdge, LidarPlane};
 use lsfb_geometry::{RigLidar, Vector6};
 use lsfb_perception::lidar::{MotionKnot, RangeWindow, deskew_rings};
 use lsfb_solver::{Kernel, Problem, SolveConfig, solve};
@@ -154,25 +153,13 @@ fn eq4_terms_recover_a_pose_from_wrong_guesses() {
             let blocks = [pose_m.id(), pose_n.id()];
             let kernel = Kernel::Cauchy { scale: 2.0 };
             for f in &found.planes {
-                let residual = LidarPlane {
-                    point_in_n: f.point_in_n,
-                    point_in_m: f.plane_in_m.point,
-                    normal_in_m: f.plane_in_m.normal,
-                    sigma_m: 0.02,
-                };
                 problem
-                    .add_residual(residual, &blocks, kernel)
+                    .add_residual(f.residual(0.02), &blocks, kernel)
                     .expect("blocks fit");
             }
             for f in &found.edges {
-                let residual = LidarEdge {
-                    point_in_n: f.point_in_n,
-                    point_in_m: f.edge_in_m.point,
-                    direction_in_m: f.edge_in_m.direction,
-                    sigma_m: 0.03,
-                };
                 problem
-                    .add_residual(residual, &blocks, kernel)
+                    .add_residual(f.residual(0.03), &blocks, kernel)
                     .expect("blocks fit");
             }
             solve(&mut problem, &SolveConfig::default()).expect("solvable");

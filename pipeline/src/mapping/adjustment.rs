@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
 use lsfb_perception::RelativePose;
-use lsfb_solver::{Block, Kernel, Problem, Report, SolveConfig};
+use lsfb_solver::{Block, Kernel, Problem, Report, ResidualSet, SolveConfig};
 use lsfb_types::ProgressFn;
 
 use super::control::{ControlBlocks, ControlTerms, SolvedControl, add_control};
 use super::inertial::{InertialBlocks, InertialEstimate, InertialTerm};
 use super::keyframes::Keyframes;
-use super::matched::{MatchedEdge, MatchedPlane};
+use super::matched::{MatchedEdges, MatchedPlanes};
 use super::scan_pairs::Compared;
 use super::weights::Weights;
 use super::{MappingConfig, TermConfig};
@@ -205,21 +205,19 @@ fn add_scans(
     let kernel = Kernel::Cauchy { scale: 2.0 };
     for (pair, found) in terms.scans {
         let blocks = [poses[pair.m].id(), poses[pair.n].id()];
+        let planes: Arc<dyn ResidualSet> = Arc::new(MatchedPlanes {
+            found: found.clone(),
+            sigma_m: weights.plane_sigma_m,
+        });
         for number in (0..found.planes.len() as u32).filter(|_| taken.planes) {
-            let residual = MatchedPlane {
-                found: found.clone(),
-                number,
-                sigma_m: weights.plane_sigma_m,
-            };
-            problem.add_residual(residual, &blocks, kernel)?;
+            problem.add_residual_of(planes.clone(), number, &blocks, kernel)?;
         }
+        let edges: Arc<dyn ResidualSet> = Arc::new(MatchedEdges {
+            found: found.clone(),
+            sigma_m: weights.edge_sigma_m,
+        });
         for number in (0..found.edges.len() as u32).filter(|_| taken.edges) {
-            let residual = MatchedEdge {
-                found: found.clone(),
-                number,
-                sigma_m: weights.edge_sigma_m,
-            };
-            problem.add_residual(residual, &blocks, kernel)?;
+            problem.add_residual_of(edges.clone(), number, &blocks, kernel)?;
         }
     }
     Ok(())

@@ -2,77 +2,46 @@
 
 use std::sync::Arc;
 
-use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
+use lsfb_geometry::Se3;
+use lsfb_solver::{Linearization, Parameters, Residual, ResidualSet, Shape, Undefined};
 
 use crate::lidar_features::Correspondences;
-use crate::residuals::{LidarEdge, LidarPlane};
 
-/// The [`LidarPlane`] of a match. Blocks: `world_from_rig` of m, then of n.
-pub(super) struct MatchedPlane {
+/// The residuals of matched planes, by their numbers. Blocks: `world_from_rig` of m, then of n.
+pub(super) struct MatchedPlanes {
     pub found: Arc<Correspondences>,
-    pub number: u32,
     pub sigma_m: f64,
 }
 
-/// The [`LidarEdge`] of a match, likewise.
-pub(super) struct MatchedEdge {
+/// The residuals of matched edges, likewise.
+pub(super) struct MatchedEdges {
     pub found: Arc<Correspondences>,
-    pub number: u32,
     pub sigma_m: f64,
 }
 
-impl MatchedPlane {
-    fn plane(&self) -> Result<LidarPlane, Undefined> {
-        let found = self.found.planes.get(self.number as usize);
-        let found = found.ok_or(Undefined)?;
-        Ok(LidarPlane {
-            point_in_n: found.point_in_n,
-            point_in_m: found.plane_in_m.point,
-            normal_in_m: found.plane_in_m.normal,
-            sigma_m: self.sigma_m,
-        })
-    }
-}
-
-impl MatchedEdge {
-    fn edge(&self) -> Result<LidarEdge, Undefined> {
-        let found = self.found.edges.get(self.number as usize);
-        let found = found.ok_or(Undefined)?;
-        Ok(LidarEdge {
-            point_in_n: found.point_in_n,
-            point_in_m: found.edge_in_m.point,
-            direction_in_m: found.edge_in_m.direction,
-            sigma_m: self.sigma_m,
-        })
-    }
-}
-
-macro_rules! as_residual {
+macro_rules! as_residuals {
     ($matched:ident, $of:ident, $dimension:literal) => {
-        impl Residual for $matched {
+        impl ResidualSet for $matched {
             fn dimension(&self) -> usize {
                 $dimension
             }
 
             fn blocks(&self) -> &[Shape] {
-                const {
-                    &[
-                        Shape::of::<lsfb_geometry::Se3>(),
-                        Shape::of::<lsfb_geometry::Se3>(),
-                    ]
-                }
+                const { &[Shape::of::<Se3>(), Shape::of::<Se3>()] }
             }
 
             fn evaluate(
                 &self,
+                number: u32,
                 parameters: &Parameters<'_>,
                 out: &mut Linearization<'_>,
             ) -> Result<(), Undefined> {
-                self.$of()?.evaluate(parameters, out)
+                let found = self.found.$of.get(number as usize).ok_or(Undefined)?;
+                found.residual(self.sigma_m).evaluate(parameters, out)
             }
         }
     };
 }
 
-as_residual!(MatchedPlane, plane, 1);
-as_residual!(MatchedEdge, edge, 3);
+as_residuals!(MatchedPlanes, planes, 1);
+as_residuals!(MatchedEdges, edges, 3);

@@ -102,8 +102,9 @@ pub(super) fn lidar_residuals<'a>(
         let m_from_world = keyframes[pair.m].world_from_rig.inverse();
         let m_from_n = m_from_world * keyframes[pair.n].world_from_rig;
         for f in &found.planes {
-            let off = m_from_n * f.point_in_n - f.plane_in_m.point;
-            plane_squares += f.plane_in_m.normal.dot(&off).powi(2);
+            let f = f.residual(1.0);
+            let off = m_from_n * f.point_in_n - f.point_in_m;
+            plane_squares += f.normal_in_m.dot(&off).powi(2);
         }
         for f in &found.edges {
             let off = m_from_n * f.point_in_n - f.edge_in_m.point;

@@ -159,7 +159,7 @@ impl Models {
 
     /// Registers a residual whose blocks are finite.
     pub fn register(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
-        let dimension = problem.residuals[k].dimension;
+        let dimension = problem.residuals[k].rows();
         let first = self.slots.len();
         let mut next = dimension;
         for block in problem.blocks_of(ResidualId(k)) {
@@ -228,9 +228,9 @@ impl Models {
     pub fn linearize(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
         let entry = &problem.residuals[k];
         let model = &mut self.models[k];
-        let Some(residual) = &entry.residual else {
+        if entry.residual.is_none() {
             return Ok(());
-        };
+        }
         let slots = &self.slots[model.slots[0] as usize..model.slots[1] as usize];
         let end = model.start + model.length;
         let numbers = &mut self.numbers[model.start..end + model.dimension];
@@ -244,7 +244,7 @@ impl Models {
             slots,
             with_jacobians: true,
         };
-        if residual.evaluate(&parameters, &mut out) == Err(Undefined) {
+        if entry.evaluate(&parameters, &mut out) == Err(Undefined) {
             // It keeps the cost it had, and pulls at nothing.
             record.fill(0.0);
             shift.fill(0.0);
@@ -392,7 +392,7 @@ impl Models {
                 couplings: [0; 2],
             })
             .collect();
-        let mut record = vec![0.0; entry.dimension];
+        let mut record = vec![0.0; entry.rows()];
         let mut out = Linearization {
             record: &mut record,
             slots: &slots,
@@ -402,8 +402,7 @@ impl Models {
             values,
             slots: &slots,
         };
-        let residual = entry.residual.as_ref()?;
-        residual.evaluate(&parameters, &mut out).ok()?;
+        entry.evaluate(&parameters, &mut out).ok()?;
         Some(0.5 * entry.kernel.at(squared_norm(&record)).cost)
     }
 }

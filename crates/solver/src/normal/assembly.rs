@@ -93,7 +93,7 @@ pub(super) fn assemble_points<const FUSED: bool>(
         for k in layout.point_first[point]..layout.point_first[point + 1] {
             let record = &parts.records
                 [layout.record_start[k] - record_base..layout.record_start[k + 1] - record_base];
-            let dimension = problem.residuals[layout.order[k] as usize].dimension;
+            let dimension = problem.residuals[layout.order[k] as usize].rows();
             let slots = layout.slots_of(k);
             let Some(own) = slots
                 .iter()
@@ -143,7 +143,7 @@ pub(super) fn assemble_columns<const FUSED: bool>(
             }
             let record = &records
                 [layout.record_start[k] - record_base..layout.record_start[k + 1] - record_base];
-            let dimension = problem.residuals[residual as usize].dimension;
+            let dimension = problem.residuals[residual as usize].rows();
             let n = layout.tangent(i);
             let own = &record[slot.jacobian as usize..][..dimension * n];
             let gradient = &mut parts.gradient[layout.row_start[i] - row_base..][..n];
