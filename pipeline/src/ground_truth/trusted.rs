@@ -1,5 +1,7 @@
 //! Which frames are certain enough for the trajectory, and why the others are not.
 
+use std::ops::Range;
+
 use lsfb_geometry::{Matrix6, StampedPose};
 
 use super::GroundTruthConfig;
@@ -94,11 +96,20 @@ fn reasons(
 ) -> Vec<Option<LeftOutReason>> {
     // The IMU carries from one stretch to the next: one in which too little was to be seen is where the rest of the walk is.
     let whole = InView::of_walk(found.in_view);
-    let doubtful = |k: usize| {
-        let mut stretches = found.in_view.iter().filter(|v| v.frames.contains(&k));
-        stretches.any(|v| v.is_doubtful(config) || (!v.is_judged() && whole.is_doubtful(config)))
-    };
     let supported = |k: usize| walk.frames[k].fixed.len() >= config.min_map_points;
+    let is_doubtful = |stretch: usize| {
+        let own = &found.in_view[stretch];
+        let here = with_neighbours(found.in_view, stretch, |frames| {
+            longest_secs(walk, frames, |k| !supported(k)) <= config.max_bridge_secs
+        });
+        (own.is_doubtful(config) && here.is_doubtful(config))
+            || (!own.is_judged() && whole.is_doubtful(config))
+    };
+    let doubts: Vec<bool> = (0..found.in_view.len()).map(is_doubtful).collect();
+    let doubtful = |k: usize| {
+        let mut stretches = found.in_view.iter().zip(&doubts);
+        stretches.any(|(stretch, is_doubtful)| *is_doubtful && stretch.frames.contains(&k))
+    };
     let count = walk.frames.len();
     let mut reasons = Vec::with_capacity(count);
     while reasons.len() < count {
@@ -131,6 +142,40 @@ fn reasons(
         }));
     }
     reasons
+}
+
+/// What was found in a stretch and in those before and behind it, as far as a walk that goes on through the map joins them: of two things that are
+/// absent from ten seconds of a long walk it may be said that they have gone, not that those seconds are elsewhere.
+fn with_neighbours(
+    stretches: &[InView],
+    own: usize,
+    is_joined: impl Fn(Range<usize>) -> bool,
+) -> InView {
+    let joined = |a: usize, b: usize| {
+        let (Some(a), Some(b)) = (stretches.get(a), stretches.get(b)) else {
+            return false;
+        };
+        is_joined(a.frames.start..b.frames.end)
+    };
+    let first = own.saturating_sub(usize::from(own > 0 && joined(own - 1, own)));
+    let last = own + usize::from(joined(own, own + 1));
+    InView::of_walk(&stretches[first..=last])
+}
+
+/// Longest time for which something holds of one of some frames after the other, seconds.
+fn longest_secs(walk: &Walk, frames: Range<usize>, holds: impl Fn(usize) -> bool) -> f64 {
+    let mut longest_secs = 0.0_f64;
+    let mut since = None;
+    for k in frames {
+        if !holds(k) {
+            since = None;
+            continue;
+        }
+        let first = *since.get_or_insert(k);
+        let secs = walk.frames[k].time.secs_since(walk.frames[first].time);
+        longest_secs = longest_secs.max(secs);
+    }
+    longest_secs
 }
 
 fn is_certain(covariance: &Matrix6<f64>, config: &GroundTruthConfig) -> bool {

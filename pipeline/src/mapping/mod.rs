@@ -611,7 +611,8 @@ fn optimise(
     let mut tracks = look_at(&matched, &mut *keyframes)?;
     keyframes.place(&current);
     // What the last round has.
-    let (mut points, mut scans, mut weights);
+    let (mut points, mut weights);
+    let mut scans = Vec::new();
     let mut in_site: Option<SolvedControl>;
     loop {
         let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
@@ -621,6 +622,8 @@ fn optimise(
             tracks = look_at(&matched, &mut *keyframes)?;
         }
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
+        // Not beside those that come: of a long walk a gigabyte.
+        scans.clear();
         scans = scan_correspondences(&keyframes.frames, &pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
         let errors_px = observation_errors_px(rig, keyframes, &points);

@@ -5,6 +5,7 @@
 //! hides it. Where all it sees is farther, what stood there has gone.
 
 use std::collections::BTreeMap;
+use std::iter::Sum;
 
 use lsfb_geometry::{Vector2, Vector3};
 
@@ -88,7 +89,7 @@ impl Sights {
     }
 }
 
-/// How much of what is nearest to a pixel is in front of something, and how much behind it.
+/// How much of what is nearest to a pixel is in front of something, and how much behind it; in one image, or in several.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Around {
     pub in_front: usize,
@@ -100,6 +101,16 @@ impl Around {
     /// Whether half or more of it is in front.
     pub fn hides(&self) -> bool {
         2 * self.in_front >= self.all.max(1)
+    }
+}
+
+impl Sum for Around {
+    fn sum<I: Iterator<Item = Self>>(looks: I) -> Self {
+        looks.fold(Self::default(), |sum, look| Self {
+            in_front: sum.in_front + look.in_front,
+            behind: sum.behind + look.behind,
+            all: sum.all + look.all,
+        })
     }
 }
 

@@ -329,8 +329,12 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
     let mut sought: Vec<Sought> = by_point
         .into_iter()
         .filter(|(_, looks)| looks.len() >= FEWEST_LOOKS)
-        .filter(|(_, looks)| 2 * looks.iter().filter(|l| l.around.hides()).count() <= looks.len())
-        .filter_map(|(point, looks)| {
+        .map(|(point, looks)| {
+            let around: Around = looks.iter().map(|look| look.around).sum();
+            (point, looks, around)
+        })
+        .filter(|(_, _, around)| !around.hides())
+        .filter_map(|(point, looks, around)| {
             let in_place = looks.iter().filter_map(|look| look.in_place).min();
             let beside = looks.iter().filter_map(|look| look.beside).min();
             let is_better = |own: u32| beside.is_none_or(|beside| own < beside);
@@ -343,8 +347,8 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
                 },
                 is_found: in_place.is_some_and(is_better),
                 looks: looks.len(),
-                behind: looks.iter().map(|look| look.around.behind).sum(),
-                around: looks.iter().map(|look| look.around.all).sum(),
+                behind: around.behind,
+                around: around.all,
             })
         })
         .collect();
