@@ -49,6 +49,7 @@ impl DeadReckoning {
         gravity_m_s2: &Vector3<f64>,
     ) -> Vec<FrameState> {
         let whole_secs = (self.secs[to.0] - self.secs[from.0]).max(f64::MIN_POSITIVE);
+        // About an axis of the world: so the turns add up, however the body is turned.
         let along = |rate_rad_s: Vector3<f64>| {
             let mut states = vec![FrameState {
                 nav: standing(from.1),
@@ -56,15 +57,15 @@ impl DeadReckoning {
             }];
             for k in from.0..to.0 {
                 let mut next = self.after(k, &states[k - from.0], gravity_m_s2);
-                let turn = rate_rad_s * self.step_secs(k);
-                next.nav.world_from_rig.rotation *= so3::exp(&turn);
+                let turn = so3::exp(&(rate_rad_s * self.step_secs(k)));
+                next.nav.world_from_rig.rotation = turn * next.nav.world_from_rig.rotation;
                 states.push(next);
             }
             states
         };
         let end = |states: &[FrameState]| states[to.0 - from.0].nav.world_from_rig;
         let unturned = end(&along(Vector3::zeros())).rotation;
-        let rate_rad_s = so3::log(&(unturned.inverse() * to.1.rotation)) / whole_secs;
+        let rate_rad_s = so3::log(&(to.1.rotation * unturned.inverse())) / whole_secs;
         let mut states = along(rate_rad_s);
         let missing_m_s = (to.1.translation - end(&states).translation) / whole_secs;
         for (state, secs) in states.iter_mut().zip(&self.secs[from.0..]) {

@@ -8,6 +8,7 @@ mod edge_cases;
 mod incremental;
 mod pose_graph;
 mod recordings;
+mod residual_sets;
 mod stereo_odometry;
 mod threads;
 mod ways;

@@ -8,6 +8,7 @@ mod dense;
 mod imu;
 mod in_view;
 mod learned;
+mod long_walk;
 mod other_place;
 mod recorded;
 mod settling;
@@ -59,9 +60,14 @@ fn truth(t: f64) -> Se3 {
 }
 
 fn imu(rng: &mut Gauss) -> Vec<Stamped<ImuSample>> {
+    imu_of(FRAMES, rng)
+}
+
+/// Samples for as long as so many frames take.
+fn imu_of(frames: usize, rng: &mut Gauss) -> Vec<Stamped<ImuSample>> {
     let rate = 200.0f64;
     let h = 1e-3;
-    (0..=(FRAMES as f64 * FRAME_SECS * rate) as i64)
+    (0..=(frames as f64 * FRAME_SECS * rate) as i64)
         .map(|k| {
             let t = k as f64 / rate;
             let (before, here, after) = (truth(t - h), truth(t), truth(t + h));
