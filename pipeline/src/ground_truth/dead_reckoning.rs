@@ -57,16 +57,17 @@ impl DeadReckoning {
             }];
             for k in from.0..to.0 {
                 let mut next = self.after(k, &states[k - from.0], gravity_m_s2);
-                let turn = so3::exp(&(rate_rad_s * self.step_secs(k)));
-                next.nav.world_from_rig.rotation = turn * next.nav.world_from_rig.rotation;
+                let pose = &mut next.nav.world_from_rig;
+                let turn = pose.rotation.inverse() * (rate_rad_s * self.step_secs(k));
+                pose.rotation = so3::retract(&pose.rotation, &turn);
                 states.push(next);
             }
             states
         };
         let end = |states: &[FrameState]| states[to.0 - from.0].nav.world_from_rig;
         let unturned = end(&along(Vector3::zeros())).rotation;
-        let rate_rad_s = so3::log(&(to.1.rotation * unturned.inverse())) / whole_secs;
-        let mut states = along(rate_rad_s);
+        let missing_rad = unturned * so3::local(&unturned, &to.1.rotation);
+        let mut states = along(missing_rad / whole_secs);
         let missing_m_s = (to.1.translation - end(&states).translation) / whole_secs;
         for (state, secs) in states.iter_mut().zip(&self.secs[from.0..]) {
             state.nav.world_from_rig.translation += missing_m_s * (secs - self.secs[from.0]);

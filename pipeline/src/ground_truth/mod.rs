@@ -1,7 +1,8 @@
 //! The ground truth of a walk: where the device was at every image, to a centimetre.
 //!
 //! The images are localized in the HD map one by one; those that the IMU leads to from one another are a consistent set, and
-//! the largest of them places the walk; features that are not in the map become local points; and one robust bundle
+//! the walk is placed by the largest of them and by all that the IMU leads to from there, the surest first; features that are not in the map
+//! become local points; and one robust bundle
 //! adjustment over all frames, eq. (5), settles poses, velocities and biases with the map's points held fixed. Then the map's
 //! points are looked for again where the poses now say they must be, and everything is solved until nothing comes or goes any
 //! more. Whatever was not used is looked at again after every solve.
