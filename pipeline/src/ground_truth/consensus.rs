@@ -13,9 +13,9 @@ use lsfb_geometry::{Vector3, so3};
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
+use super::dead_reckoning::DeadReckoning;
 use super::inertial::{ANY_ACCELERATION_M_S2, ANY_TURN_RAD_S, any_motion};
 use super::walk::{FrameState, LocalizedPose, Walk};
-use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
 /// Localized instants after one that it is compared with, at most.
@@ -33,15 +33,15 @@ const FEWEST: usize = 3;
 /// no two others agree are in none.
 pub(super) fn consistent_sets(
     walk: &Walk,
+    imu: &DeadReckoning,
     config: &GroundTruthConfig,
-) -> Result<Vec<Vec<usize>>, Error> {
-    let intervals = walk.preintegrate(0..walk.frames.len(), |_| ImuBias::default())?;
+) -> Vec<Vec<usize>> {
     let localized: Vec<usize> = (0..walk.frames.len())
         .filter(|k| walk.frames[*k].localized.is_some())
         .collect();
     let agreeing: Vec<Vec<usize>> = localized
         .par_iter()
-        .map(|frame| most_that_agree(&foretold(walk, &intervals, *frame, config)))
+        .map(|frame| most_that_agree(&foretold(walk, imu.intervals(), *frame, config)))
         .collect();
     let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); walk.frames.len()];
     for members in agreeing.iter().filter(|members| members.len() >= FEWEST) {
@@ -54,7 +54,7 @@ pub(super) fn consistent_sets(
     sets.retain(|set| set.len() >= FEWEST);
     // The sort is stable: of equals the one that begins first.
     sets.sort_by_key(|set| Reverse(set.len()));
-    Ok(sets)
+    sets
 }
 
 /// The nodes of each connected part of a graph, in order.

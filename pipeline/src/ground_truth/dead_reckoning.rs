@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use lsfb_geometry::{Se3, Vector3, so3};
 
-use super::walk::{FrameState, Walk};
+use super::walk::{Frame, FrameState, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 
@@ -18,11 +18,21 @@ pub(super) struct DeadReckoning {
 
 impl DeadReckoning {
     pub fn of(walk: &Walk) -> Result<Self, Error> {
-        let since_first = |frame: &super::walk::Frame| frame.time.secs_since(walk.frames[0].time);
+        let since_first = |frame: &Frame| frame.time.secs_since(walk.frames[0].time);
         Ok(Self {
             secs: walk.frames.iter().map(since_first).collect(),
             intervals: walk.preintegrate(0..walk.frames.len(), |_| ImuBias::default())?,
         })
+    }
+
+    /// The IMU's sums between neighbouring frames, without a bias; `None` where samples are missing.
+    pub fn intervals(&self) -> &[Option<PreintegratedImu>] {
+        &self.intervals
+    }
+
+    /// Whether the IMU measured all of the interval after a frame; there is none after the last.
+    pub fn is_measured(&self, frame: usize) -> bool {
+        self.intervals.get(frame).is_some_and(Option::is_some)
     }
 
     /// Replaces the states outside of some frames by what the first and the last of these lead to.

@@ -3,6 +3,7 @@
 use lsfb_geometry::{Matrix6, Vector6};
 
 use super::GroundTruthConfig;
+use super::dead_reckoning::DeadReckoning;
 use super::inertial::{ANY_ACCELERATION_M_S2, ANY_TURN_RAD_S};
 use super::walk::{Frame, Walk};
 use crate::preintegration::standard_gravity_m_s2;
@@ -22,10 +23,10 @@ const ANY_VELOCITY_M_S: f64 = 2.0;
 /// run of accepted poses, or as well as beforehand.
 pub(super) fn drifts(
     walk: &Walk,
+    imu: &DeadReckoning,
     accepted: &[bool],
     config: &GroundTruthConfig,
-) -> Result<Vec<Matrix6<f64>>, crate::Error> {
-    let covered = walk.is_covered_by_imu()?;
+) -> Vec<Matrix6<f64>> {
     let mut drifts = vec![Matrix6::zeros(); walk.frames.len()];
     let mut smallest = vec![f64::INFINITY; walk.frames.len()];
     let count = walk.frames.len();
@@ -36,7 +37,7 @@ pub(super) fn drifts(
         for step in 0..count {
             let k = at(step);
             let apart = |a: usize| apart_secs(&walk.frames[a], &walk.frames[k]);
-            if step > 0 && !covered[k.min(at(step - 1))] {
+            if step > 0 && !imu.is_measured(k.min(at(step - 1))) {
                 unmeasured_secs += apart(at(step - 1));
             }
             if accepted[k] {
@@ -60,7 +61,7 @@ pub(super) fn drifts(
             }
         }
     }
-    Ok(drifts)
+    drifts
 }
 
 fn apart_secs(a: &Frame, b: &Frame) -> f64 {

@@ -62,11 +62,12 @@ pub(super) fn start_states(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Option<Start>, Error> {
-    let kept = telling_frames(walk)?;
+    let imu_of_all = DeadReckoning::of(walk)?;
+    let kept = telling_frames(walk, &imu_of_all);
     let telling = walk.with_frames(&kept);
     let imu = DeadReckoning::of(&telling)?;
+    let sets = consistent_sets(&telling, &imu, config);
     let mut explanations: Vec<Explanation> = Vec::new();
-    let sets = consistent_sets(&telling, config)?;
     for set in &sets {
         if explanations.len() == EXPLANATIONS {
             break;
@@ -100,8 +101,7 @@ pub(super) fn start_states(
         false => {
             let mut states = States::unknown(walk.frames.len());
             states.of_frames = between(walk, &kept, &best.states);
-            let imu = DeadReckoning::of(walk)?;
-            states.fit(walk, &imu, &accepted, config, progress)?;
+            states.fit(walk, &imu_of_all, &accepted, config, progress)?;
             states.of_frames
         }
     };
@@ -115,24 +115,20 @@ pub(super) fn start_states(
 
 /// Frames that tell one explanation from another: the localized ones, those around what the IMU did not measure, and so many between them
 /// that it is never summed up for long.
-fn telling_frames(walk: &Walk) -> Result<Vec<usize>, Error> {
-    let count = walk.frames.len();
+fn telling_frames(walk: &Walk, imu: &DeadReckoning) -> Vec<usize> {
     if !walk.has_imu() {
-        return Ok((0..count).collect());
+        return (0..walk.frames.len()).collect();
     }
-    let covered = walk.is_covered_by_imu()?;
-    let is_covered =
-        |interval: Option<usize>| interval.is_some_and(|k| covered.get(k) == Some(&true));
     let mut kept: Vec<usize> = Vec::new();
     for (k, frame) in walk.frames.iter().enumerate() {
-        let is_inside = is_covered(k.checked_sub(1)) && is_covered(Some(k));
+        let is_inside = k > 0 && imu.is_measured(k - 1) && imu.is_measured(k);
         let last = kept.last().map(|last| walk.frames[*last].time);
         let is_due = last.is_none_or(|last| frame.time.secs_since(last) >= SUMMED_SECS);
         if frame.localized.is_some() || !is_inside || is_due {
             kept.push(k);
         }
     }
-    Ok(kept)
+    kept
 }
 
 /// States of all frames by those of some, the first and the last among them.
@@ -190,7 +186,7 @@ fn explain(
     let mut refused = vec![0; count];
     let cost = loop {
         let cost = states.fit(walk, imu, &accepted, config, progress)?;
-        let drifts = drifts(walk, &accepted, config)?;
+        let drifts = drifts(walk, imu, &accepted, config);
         let may = |k: usize| refused[k] < TIMES_REFUSED;
         let agrees = |k: usize| {
             let pose = &states.of_frames[k].nav.world_from_rig;

@@ -157,7 +157,7 @@ fn with_neighbours(
         };
         is_joined(a.frames.start..b.frames.end)
     };
-    let first = own.saturating_sub(usize::from(own > 0 && joined(own - 1, own)));
+    let first = own - usize::from(own > 0 && joined(own - 1, own));
     let last = own + usize::from(joined(own, own + 1));
     InView::of_walk(&stretches[first..=last])
 }

@@ -113,12 +113,6 @@ impl Walk {
         self.noise_factors = frames.map(|k| (k, noise_factor)).collect();
     }
 
-    /// Whether the IMU measured all of each interval between neighbouring frames.
-    pub fn is_covered_by_imu(&self) -> Result<Vec<bool>, Error> {
-        let intervals = self.preintegrate(0..self.frames.len(), |_| ImuBias::default())?;
-        Ok(intervals.iter().map(Option::is_some).collect())
-    }
-
     /// Sums the IMU up between neighbours of some frames, with the bias of the first of each; `None` where samples are missing.
     pub fn preintegrate(
         &self,
