@@ -102,7 +102,8 @@ fn reasons(
         let here = with_neighbours(found.in_view, stretch, |frames| {
             longest_secs(walk, frames, |k| !supported(k)) <= config.max_bridge_secs
         });
-        (own.is_doubtful(config) && here.is_doubtful(config))
+        // Those beside it excuse what is absent from it, not that it shows another place.
+        (own.is_doubtful(config) && (own.is_refuted() || here.is_doubtful(config)))
             || (!own.is_judged() && whole.is_doubtful(config))
     };
     let doubts: Vec<bool> = (0..found.in_view.len()).map(is_doubtful).collect();

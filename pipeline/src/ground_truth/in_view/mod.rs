@@ -128,6 +128,11 @@ impl InView {
         self.there - self.absent_elsewhere()
     }
 
+    /// Whether what was found speaks more against this place than for it.
+    pub fn is_refuted(&self) -> bool {
+        self.for_this_place() < 0.0
+    }
+
     /// Whether what was found here makes this the likelier place of the two by far.
     pub fn is_likelier_than(&self, other: &Self) -> bool {
         self.for_this_place() >= other.for_this_place() + LIKELIER.ln()

@@ -40,22 +40,26 @@ fn another_floor_that_is_built_alike_is_refused() {
 /// Stretches of the made-up walk in which so much says that points are there and absent, of which a cell says 3 at most, and which frames
 /// are left out for it.
 fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
+    let stretches = counts.iter().map(|&(there, absent)| InView {
+        points: there + absent,
+        there: there as f64,
+        absent: absent as f64,
+        most_absent: absent.min(3) as f64,
+        ..InView::default()
+    });
+    left_out_of(stretches.collect())
+}
+
+/// The same of stretches of equal length.
+fn left_out_of(mut in_view: Vec<InView>) -> Vec<(i64, i64)> {
     let MadeUp { mut walk, .. } = make_walk(20, 20, |_| true);
     for frame in &mut walk.frames {
         frame.fixed = frame.recognised.clone();
     }
-    let each = FRAMES / counts.len();
-    let in_view: Vec<InView> = (0..)
-        .zip(counts)
-        .map(|(k, &(there, absent))| InView {
-            frames: k * each..(k + 1) * each,
-            points: there + absent,
-            there: there as f64,
-            absent: absent as f64,
-            most_absent: absent.min(3) as f64,
-            ..InView::default()
-        })
-        .collect();
+    let each = FRAMES / in_view.len();
+    for (k, stretch) in in_view.iter_mut().enumerate() {
+        stretch.frames = k * each..(k + 1) * each;
+    }
     let config = GroundTruthConfig::default();
     let start = started(&walk, &config);
     let found = Solution {
@@ -94,4 +98,19 @@ fn two_things_that_have_gone_are_no_other_place_while_the_walk_goes_on() {
     assert_eq!(left_out(&[(100, 10)]), [(0, 9_900_000_000)], "by itself");
     let middle = (3_300_000_000, 6_500_000_000);
     assert_eq!(left_out(&[right, (60, 40), right]), [middle]);
+}
+
+/// Ten seconds in which all is seen through are elsewhere; beside enough that is there it was so little that it said nothing.
+#[test]
+fn a_stretch_that_shows_another_place_is_not_excused_by_those_beside_it() {
+    let right = InView {
+        there: 120.0,
+        ..InView::default()
+    };
+    let elsewhere = InView {
+        seen_through: 60.0,
+        ..InView::default()
+    };
+    let middle = (3_300_000_000, 6_500_000_000);
+    assert_eq!(left_out_of(vec![right.clone(), elsewhere, right]), [middle]);
 }
