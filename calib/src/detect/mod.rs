@@ -3,9 +3,11 @@
 //! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
 //! `saddle` finds such points, `link` joins those that one straight edge connects, `checkerboard` walks the links as a
 //! lattice, `charuco` reads the markers in its white squares, `april_grid` walks the links around dark squares and reads their
-//! bits, `refine` measures the corners, and `saddle_fit` their last tenths of a pixel.
+//! bits, `refine` measures the corners, and `saddle_fit` their last tenths of a pixel, once more when `bent_edges` knows how the lens bends
+//! the edges.
 
 mod april_grid;
+mod bent_edges;
 mod charuco;
 mod checkerboard;
 mod link;
@@ -62,6 +64,12 @@ pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
         }
     };
     corners.retain_mut(|seen| refine::refine(image, seen));
+    let bends = bent_edges::bends(target, &corners);
+    for (seen, bends) in corners.iter_mut().zip(&bends) {
+        if bends.iter().any(|bend| bend.norm() > 0.0) {
+            refine::fit_sectors(image, seen, bends);
+        }
+    }
     let mut corners: Vec<Corner> = corners
         .into_iter()
         .map(|seen| Corner {

@@ -19,13 +19,19 @@ pub(super) fn refine(image: &Image, seen: &mut RoughCorner) -> bool {
     let Some(at) = by_gradients(image, &seen.pixel, seen.clear_px) else {
         return false;
     };
+    seen.pixel = at;
+    // Where no sectors are seen the corner keeps the place that gradients give it.
+    fit_sectors(image, seen, &[Vector2::zeros(); 2]);
+    true
+}
+
+/// Moves the corner to the middle of the four sectors around it, between edges that are bent by so much, 1/px; leaves it where there are none.
+pub(super) fn fit_sectors(image: &Image, seen: &mut RoughCorner, bends: &[Vector2<f64>; 2]) {
     let radius_px = seen.alone_px.clamp(LEAST_FIT_PX, LARGEST_FIT_PX);
     let fitted = seen
         .edges
-        .and_then(|edges| saddle_fit::fit(image, &at, &edges, radius_px));
-    // Where no sectors are seen the corner keeps the place that gradients give it.
-    seen.pixel = fitted.unwrap_or(at);
-    true
+        .and_then(|edges| saddle_fit::fit(image, &seen.pixel, &edges, bends, radius_px));
+    seen.pixel = fitted.unwrap_or(seen.pixel);
 }
 
 /// The point to which gradients are perpendicular.
@@ -83,6 +89,7 @@ mod tests {
     use super::*;
 
     const SIZE: usize = 40;
+    const STRAIGHT: [Vector2<f64>; 2] = [Vector2::new(0.0, 0.0); 2];
 
     /// A tag's corner beside the dark square in the gap, `gap_px` wide across, turned and sheared as boards are seen aslant: its edges meet
     /// at `opening_rad`. Pixels are means of what is in them, and blurred by as much again where asked for.
@@ -153,7 +160,7 @@ mod tests {
             // As rays of a saddle are found: a few degrees off.
             let edges = turned.edges(0.2 * (part(29) - 0.5));
             let radius_px = (0.8 * tag.gap_px).min(LARGEST_FIT_PX);
-            let by_sectors = saddle_fit::fit(&image, &start, &edges, radius_px);
+            let by_sectors = saddle_fit::fit(&image, &start, &edges, &STRAIGHT, radius_px);
             let by_gradients = by_gradients(&image, &start, 0.45 * tag.gap_px);
             for (way, found) in [by_sectors, by_gradients].into_iter().enumerate() {
                 if let Some(found) = found {
@@ -227,7 +234,8 @@ mod tests {
             ..whole
         };
         let start = Vector2::new(3.1, 19.8);
-        let found = saddle_fit::fit(&cut, &start, &tag.edges(0.05), 5.0).expect("a corner");
+        let found =
+            saddle_fit::fit(&cut, &start, &tag.edges(0.05), &STRAIGHT, 5.0).expect("a corner");
         let off_px = (found + Vector2::x() * first as f64 - corner).norm();
         assert!(off_px < 0.03, "{off_px}");
     }
@@ -242,7 +250,9 @@ mod tests {
             frame_id: 0,
         };
         let edges = [Vector2::x(), Vector2::y()];
-        let fitted = |image: &Image| saddle_fit::fit(image, &Vector2::new(9.6, 10.0), &edges, 4.0);
+        let fitted = |image: &Image| {
+            saddle_fit::fit(image, &Vector2::new(9.6, 10.0), &edges, &STRAIGHT, 4.0)
+        };
         assert_eq!(fitted(&flat), None);
         let steps = Image {
             pixels: (0..400)

@@ -1,6 +1,6 @@
 //! The corner as the middle of four sectors as lens and pixels show them:
 //! `mean + amplitude · edge(g · (p − c)) · edge(h · (p − c))`, with the corner `c` and a vector across either edge, as long as the edge is
-//! steep. `edge` is tanh, blurred by the lens, and its mean over the pixel.
+//! steep. `edge` is tanh, blurred by the lens, and its mean over the pixel. Edges are bent as the board's lines are (`super::bent_edges`).
 //!
 //! A window in which gradients are perpendicular to the way to the corner (`super::refine`) holds a dozen pixels where a gap is three pixels
 //! wide, and where they have their centres pulls the corner by 0.2 px, most on boards that are seen small and aslant. That is alike in all
@@ -37,12 +37,13 @@ struct Sample {
     weight: f64,
 }
 
-/// The corner nearest to `start`, of what is seen within `radius_px`, with edges that run nearly along `edges`; `None` where sectors do not
-/// explain what is seen.
+/// The corner nearest to `start`, of what is seen within `radius_px`, with edges that run nearly along `edges` and are bent by `bends`, 1/px;
+/// `None` where sectors do not explain what is seen.
 pub(super) fn fit(
     image: &Image,
     start: &Vector2<f64>,
     edges: &[Vector2<f64>; 2],
+    bends: &[Vector2<f64>; 2],
     radius_px: f64,
 ) -> Option<Vector2<f64>> {
     let window = window(image, start, radius_px);
@@ -50,8 +51,8 @@ pub(super) fn fit(
     let (found, cost) = minimise_damped(
         guess,
         MAX_TRIALS,
-        |sectors| terms(&window, sectors),
-        |sectors| cost(&window, sectors),
+        |sectors| terms(&window, sectors, bends),
+        |sectors| cost(&window, sectors, bends),
     );
     let from_start = found.fixed_rows::<2>(0).into_owned();
     let is_this_one = from_start.norm() < FARTHEST_PX;
@@ -103,10 +104,11 @@ fn contrast(window: &[Sample]) -> f64 {
     window.iter().map(square).sum()
 }
 
-/// A vector across an edge, as long as the edge is steep, 1/px.
+/// A vector across an edge, as long as the edge is steep, 1/px, and the vector by which it is bent, 1/px.
 struct Edge {
     across: Vector2<f64>,
     steepness: f64,
+    bend: Vector2<f64>,
 }
 
 /// Mean of `tanh` over a pixel, and its derivatives by the pixel's distance from the edge and by steepness.
@@ -117,17 +119,43 @@ struct Mean {
 }
 
 impl Edge {
-    fn new(across: Vector2<f64>) -> Self {
+    fn new(across: Vector2<f64>, bend: Vector2<f64>) -> Self {
         Self {
             steepness: across.norm().max(1e-3),
             across,
+            bend,
         }
+    }
+
+    /// Distance from the edge times its steepness.
+    fn distance(&self, from_corner: &Vector2<f64>) -> f64 {
+        let along = self.along(from_corner);
+        self.across.dot(from_corner) - 0.5 * self.bend.dot(&self.across) * along * along
+    }
+
+    /// Distance along the edge, pixels.
+    fn along(&self, from_corner: &Vector2<f64>) -> f64 {
+        self.across.perp(from_corner) / self.steepness
+    }
+
+    /// Derivatives of the distance by what is passed and by the vector across.
+    fn distance_by(&self, from_corner: &Vector2<f64>) -> [Vector2<f64>; 2] {
+        let turned = Vector2::new(from_corner.y, -from_corner.x) / self.steepness;
+        let forward = Vector2::new(-self.across.y, self.across.x) / self.steepness;
+        let along = self.along(from_corner);
+        let bent = self.bend.dot(&self.across);
+        let by_across = self.bend * (0.5 * along * along) + turned * (bent * along)
+            - self.across * (bent * along * along / (self.steepness * self.steepness));
+        [
+            self.across - forward * (bent * along),
+            from_corner - by_across,
+        ]
     }
 
     /// Over a stretch across the edge that is a pixel long: for edges along rows and columns the pixel's own mean, for others as wide a
     /// blur.
     fn mean(&self, from_corner: &Vector2<f64>) -> Mean {
-        let middle = self.across.dot(from_corner);
+        let middle = self.distance(from_corner);
         let steepness = self.steepness;
         let (high, upper) = tanh_and_integral(middle + 0.5 * steepness);
         let (low, lower) = tanh_and_integral(middle - 0.5 * steepness);
@@ -147,14 +175,17 @@ fn tanh_and_integral(x: f64) -> (f64, f64) {
     (tanh, x.abs() + far.ln_1p())
 }
 
-fn edges(sectors: &Sectors) -> [Edge; 2] {
-    [2, 4].map(|k| Edge::new(Vector2::new(sectors[k], sectors[k + 1])))
+fn edges(sectors: &Sectors, bends: &[Vector2<f64>; 2]) -> [Edge; 2] {
+    [0, 1].map(|k| {
+        let across = Vector2::new(sectors[2 * k + 2], sectors[2 * k + 3]);
+        Edge::new(across, bends[k])
+    })
 }
 
 /// Sum of the squared errors, and of what the steepnesses differ by from those of sharp edges.
-fn cost(window: &[Sample], sectors: &Sectors) -> f64 {
+fn cost(window: &[Sample], sectors: &Sectors, bends: &[Vector2<f64>; 2]) -> f64 {
     let corner = Vector2::new(sectors[0], sectors[1]);
-    let [g, h] = edges(sectors);
+    let [g, h] = edges(sectors, bends);
     let squares = window.iter().map(|sample| {
         let from = sample.from_middle - corner;
         let product = g.mean(&from).value * h.mean(&from).value;
@@ -166,20 +197,27 @@ fn cost(window: &[Sample], sectors: &Sectors) -> f64 {
     squares + SHARP_WEIGHT * steep.iter().sum::<f64>()
 }
 
-fn terms(window: &[Sample], sectors: &Sectors) -> NormalEquations<UNKNOWNS> {
+fn terms(
+    window: &[Sample],
+    sectors: &Sectors,
+    bends: &[Vector2<f64>; 2],
+) -> NormalEquations<UNKNOWNS> {
     let corner = Vector2::new(sectors[0], sectors[1]);
-    let [g, h] = edges(sectors);
+    let [g, h] = edges(sectors, bends);
     let (mean, amplitude) = (sectors[6], sectors[7]);
     let mut terms = NormalEquations::default();
     for sample in window {
         let from = sample.from_middle - corner;
         let (s, t) = (g.mean(&from), h.mean(&from));
         let (of_s, of_t) = (amplitude * t.value, amplitude * s.value);
-        let by_corner = -(g.across * (of_s * s.by_distance) + h.across * (of_t * t.by_distance));
-        let by_edge = |edge: &Edge, mean: &Mean, of: f64| {
-            (from * mean.by_distance + edge.across * (mean.by_steepness / edge.steepness)) * of
+        let [g_by_from, g_by_across] = g.distance_by(&from);
+        let [h_by_from, h_by_across] = h.distance_by(&from);
+        let by_corner = -(g_by_from * (of_s * s.by_distance) + h_by_from * (of_t * t.by_distance));
+        let by_edge = |edge: &Edge, mean: &Mean, by_across: Vector2<f64>, of: f64| {
+            (by_across * mean.by_distance + edge.across * (mean.by_steepness / edge.steepness)) * of
         };
-        let (by_g, by_h) = (by_edge(&g, &s, of_s), by_edge(&h, &t, of_t));
+        let by_g = by_edge(&g, &s, g_by_across, of_s);
+        let by_h = by_edge(&h, &t, h_by_across, of_t);
         let product = s.value * t.value;
         let by = [
             by_corner.x,
@@ -211,7 +249,7 @@ mod tests {
     fn the_means_of_an_edge_over_pixels_have_the_derivatives_that_they_say() {
         let from = Vector2::new(0.31, -0.42);
         let across = Vector2::new(1.7, 1.1);
-        let mean = |across: Vector2<f64>| Edge::new(across).mean(&from);
+        let mean = |across: Vector2<f64>| Edge::new(across, Vector2::zeros()).mean(&from);
         let here = mean(across);
         // By Simpson's rule over the pixel's width.
         let steps = 200;
@@ -234,5 +272,36 @@ mod tests {
             let said = from[k] * here.by_distance + across[k] / across.norm() * here.by_steepness;
             assert!((numeric - said).abs() < 1e-5, "{numeric} {said}");
         }
+    }
+    #[test]
+    fn the_distance_from_a_bent_edge_has_the_derivatives_that_it_says() {
+        let (from, across) = (Vector2::new(2.1, -3.4), Vector2::new(1.7, 1.1));
+        let distance = |from: Vector2<f64>, across: Vector2<f64>| {
+            Edge::new(across, Vector2::new(0.004, 0.007)).distance(&from)
+        };
+        let [by_from, by_across] = Edge::new(across, Vector2::new(0.004, 0.007)).distance_by(&from);
+        let step = 1e-6;
+        for k in 0..2 {
+            let mut moved = Vector2::zeros();
+            moved[k] = step;
+            let numeric = [
+                distance(from + moved, across) - distance(from - moved, across),
+                distance(from, across + moved) - distance(from, across - moved),
+            ];
+            for (numeric, said) in numeric.into_iter().zip([by_from[k], by_across[k]]) {
+                assert!(
+                    (numeric / (2.0 * step) - said).abs() < 1e-8,
+                    "{numeric} {said}"
+                );
+            }
+        }
+        // A point of the circle that touches the edge lies on it, to the third order.
+        let (along, inwards) = (Vector2::new(0.8, 0.6), Vector2::new(-0.6, 0.8));
+        let radius_px: f64 = 200.0;
+        let angle: f64 = 4.0 / radius_px;
+        let on_it = along * (radius_px * angle.sin()) + inwards * (radius_px * (1.0 - angle.cos()));
+        let edge = Edge::new(inwards * 2.5, inwards / radius_px);
+        assert!(edge.distance(&on_it).abs() < 1e-4);
+        assert!(edge.distance(&(along * 4.0)) < -0.09);
     }
 }

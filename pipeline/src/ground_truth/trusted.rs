@@ -14,6 +14,9 @@ use crate::worst_sigma::worst_sigmas;
 /// those that see enough, where a body may have turned anyhow.
 const MAX_ROTATION_SIGMA_RAD: f64 = 0.02;
 
+/// Frames that see some points of the map for no longer than this, seconds, with none of them localized, may see them by chance.
+const CHANCE_SECS: f64 = 0.2;
+
 /// Frames of the trajectory, and what was left out of it.
 pub(super) struct Trusted {
     pub poses: Vec<StampedPose>,
@@ -96,7 +99,8 @@ fn reasons(
 ) -> Vec<Option<LeftOutReason>> {
     // The IMU carries from one stretch to the next: one in which too little was to be seen is where the rest of the walk is.
     let whole = InView::of_walk(found.in_view);
-    let supported = |k: usize| walk.frames[k].fixed.len() >= config.min_map_points;
+    let placed = placed_by_map(walk, found.accepted, config);
+    let supported = |k: usize| placed[k];
     let is_doubtful = |stretch: usize| {
         let own = &found.in_view[stretch];
         let here = with_neighbours(found.in_view, stretch, |frames| {
@@ -143,6 +147,25 @@ fn reasons(
         }));
     }
     reasons
+}
+
+/// Whether the map places each frame: it sees enough points, by itself or with those beside it for longer than chance has it.
+fn placed_by_map(walk: &Walk, accepted: &[bool], config: &GroundTruthConfig) -> Vec<bool> {
+    let sees_enough = walk
+        .frames
+        .iter()
+        .map(|f| f.fixed.len() >= config.min_map_points);
+    let mut placed: Vec<bool> = sees_enough.collect();
+    let mut first = 0;
+    for run in placed.chunk_by_mut(|a, b| a == b) {
+        let (last, next) = (first + run.len() - 1, first + run.len());
+        let secs = walk.frames[last].time.secs_since(walk.frames[first].time);
+        if secs <= CHANCE_SECS && !accepted[first..next].contains(&true) {
+            run.fill(false);
+        }
+        first = next;
+    }
+    placed
 }
 
 /// What was found in a stretch and in those before and behind it, as far as a walk that goes on through the map joins them: of two things that are

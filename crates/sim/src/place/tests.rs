@@ -3,7 +3,7 @@ use crate::Simulation;
 use crate::config::Device;
 use crate::simulation::RigSim;
 use crate::walk::{PaperMotion, Walk};
-use crate::world::Facet;
+use crate::world::{Facet, coplanar};
 use lsfb_types::no_progress;
 
 fn coarse(place: Place) -> SimConfig {
@@ -58,6 +58,8 @@ fn places_have_their_size_and_walks_keep_clear_of_everything() {
     for place in Place::ENVIRONMENTS.into_iter().chain([Place::Calibration]) {
         let simulation = Simulation::new(&coarse(place), &no_progress).expect("valid");
         let world = simulation.world();
+        let in_one_plane = coplanar::overlapping(world.facets());
+        assert!(in_one_plane.is_empty(), "{place:?}: {in_one_plane:?}");
         let [w, d] = place.size_m();
         let floor = world.facets().iter().flat_map(|f| f.vertices());
         let mut low = [f32::INFINITY; 2];

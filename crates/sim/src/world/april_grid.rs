@@ -69,12 +69,18 @@ pub fn corners_m(id: usize, tag_m: f32) -> [[f32; 2]; 4] {
         .map(|[x, y]| [low[0] + x * tag_m, low[1] + y * tag_m])
 }
 
+/// Edge of the texels that the grid is printed with at most, metres, of tags of this size: whole ones fit into a cell.
+pub(super) fn texel_m(tag_m: f32) -> f32 {
+    tag_m / (8 * CELLS) as f32
+}
+
 /// Paints the grid in the middle of a canvas.
 pub(super) fn paint(canvas: &mut Canvas, tag_m: f32) {
     let size = canvas.size_m();
     let edge = edge_m(tag_m);
     let origin = size.map(|s| 0.5 * (s - edge));
     canvas.values.fill(WHITE);
+    canvas.is_measured = true;
     let mut square = |x: f32, y: f32, edge: f32, tone: f32| {
         let low = [origin[0] + x, origin[1] + y];
         canvas.rectangle(low, [low[0] + edge, low[1] + edge], tone);

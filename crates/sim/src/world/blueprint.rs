@@ -7,6 +7,7 @@ use lsfb_types::{Progress, ProgressFn, Stopped};
 use super::atlas::Atlas;
 use super::builder::{Builder, Surface};
 use super::bvh::Bvh;
+use super::coplanar;
 use super::crowd::{Crowd, Stroll};
 use super::facet::Facet;
 use super::grain::Grain;
@@ -138,12 +139,11 @@ impl Painted {
         texel_m: f32,
         progress: ProgressFn,
     ) -> Result<Self, Stopped> {
-        let unsorted: Vec<Facet> = blueprint.builder.surfaces.iter().map(|s| s.facet).collect();
+        let mut built = blueprint.builder.surfaces.clone();
+        coplanar::separate(&mut built);
+        let unsorted: Vec<Facet> = built.iter().map(|s| s.facet).collect();
         let (bvh, order) = Bvh::build(&unsorted);
-        let mut surfaces: Vec<_> = order
-            .iter()
-            .map(|&i| blueprint.builder.surfaces[i])
-            .collect();
+        let mut surfaces: Vec<_> = order.iter().map(|&i| built[i]).collect();
         let facets: Vec<Facet> = surfaces.iter().map(|s| s.facet).collect();
         let (crowd, bodies) = Crowd::new(blueprint.strolls.clone(), seed, facets.len());
         surfaces.extend(bodies);

@@ -10,6 +10,8 @@ pub(crate) struct Canvas {
     /// Edge of a texel, metres, across and down.
     pub texel_m: [f32; 2],
     pub values: Vec<f32>,
+    /// Whether it is measured where its edges are.
+    pub is_measured: bool,
 }
 
 /// Shapes scattered at random: sizes fall by halves from `largest_m` to `smallest_m`. Where each size covers the same
@@ -35,6 +37,7 @@ impl Canvas {
             height,
             texel_m: [size_m[0] / width as f32, size_m[1] / height as f32],
             values: vec![tone; width * height],
+            is_measured: false,
         }
     }
 
@@ -221,6 +224,7 @@ impl Canvas {
             height,
             texel_m: self.texel_m,
             values: vec![0.0; width * height],
+            is_measured: false,
         }
     }
 

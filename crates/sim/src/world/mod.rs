@@ -9,6 +9,7 @@ mod bounds;
 pub(crate) mod builder;
 mod bvh;
 pub(crate) mod canvas;
+pub(crate) mod coplanar;
 mod corridor;
 pub(crate) mod crowd;
 mod detail;
@@ -109,7 +110,8 @@ impl World {
     /// Builds the furnished room and corridor of `seed`, with texels of `texel_m` metres.
     pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Result<Self, Stopped> {
         let plan = FloorPlan::new(seed);
-        let (builder, lamps) = furnish(&plan, seed);
+        let (mut builder, lamps) = furnish(&plan, seed);
+        coplanar::separate(&mut builder.surfaces);
         let lighting = Lighting {
             lamps: Lamps::new(&lamps),
             sun: None,

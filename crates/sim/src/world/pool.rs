@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use lsfb_types::{Progress, ProgressFn, Stopped};
 
+use super::april_grid;
 use super::atlas::Atlas;
 use super::builder::Surface;
 use super::detail;
@@ -143,7 +144,10 @@ fn order(surface: &Surface, texel_m: f32, look: Look, seed: u64) -> (Key, Order)
             let edge = (SHEET_M * material.coarseness).min(SHEET_TEXELS * texel_m);
             ([0; 2], [edge; 2], 0)
         }
-        Marks::AprilGrid(_) => (size.map(|s| (s * 1e4) as i32), size, 0),
+        Marks::AprilGrid(tag_m) => {
+            texel_m = texel_m.min(april_grid::texel_m(tag_m));
+            (size.map(|s| (s * 1e4) as i32), size, 0)
+        }
         _ => {
             let buckets = size.map(|s| (2.0 * s.max(0.02).log2()).round() as i32);
             let size_m = buckets.map(|b| (0.5 * b as f32).exp2());

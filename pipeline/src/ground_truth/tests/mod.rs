@@ -14,6 +14,7 @@ mod recorded;
 mod settling;
 mod standing;
 mod together;
+mod trusted;
 mod without_imu;
 
 use std::sync::Arc;

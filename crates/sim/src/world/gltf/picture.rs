@@ -111,5 +111,6 @@ pub(super) fn decode(bytes: &[u8], values: Values) -> Result<Canvas, String> {
         height,
         texel_m: [1.0 / width as f32, 1.0 / height as f32],
         values,
+        is_measured: false,
     })
 }

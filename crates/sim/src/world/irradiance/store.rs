@@ -1,6 +1,7 @@
 //! Computed light as a file, named by a hash of all that it depends on: a place that has changed finds none.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use sha2::{Digest, Sha256};
 
@@ -105,8 +106,10 @@ pub(crate) fn write(path: &Path, key: &[u8; HASH], light: &Baked) -> Result<(), 
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
-    // Two that write at once have a file each.
-    let begun = path.with_extension(format!("{}.part", std::process::id()));
+    // Two that write at once have a file each, in one process as well.
+    static WRITES: AtomicU64 = AtomicU64::new(0);
+    let (process, write) = (std::process::id(), WRITES.fetch_add(1, Ordering::Relaxed));
+    let begun = path.with_extension(format!("{process}-{write}.part"));
     std::fs::write(&begun, to_bytes(key, light)).map_err(failed)?;
     std::fs::rename(&begun, path).map_err(failed)
 }
@@ -208,5 +211,42 @@ impl<'a> Rest<'a> {
         let bytes = self.take(count.checked_mul(4)?)?;
         let numbers = bytes.as_chunks().0.iter();
         Some(numbers.map(|b| f32::from_le_bytes(*b)).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_that_share_their_light_write_it_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let key = [7; HASH];
+        let path = path(&folder.path().join("light"), &key);
+        let light = Baked {
+            grids: vec![LightGrid {
+                columns: 300,
+                rows: 200,
+                values: vec![0.5; 60_000],
+            }],
+            probes: Probes {
+                low: [0.0; 3],
+                step_m: [1.0; 3],
+                counts: [1; 3],
+                lux: vec![[1.0; 6]],
+            },
+        };
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| {
+                    for _ in 0..20 {
+                        write(&path, &key, &light).expect("written");
+                    }
+                });
+            }
+        });
+        assert!(matches!(read(&path, &key), Found::Light(found) if found.grids.len() == 1));
+        let files = std::fs::read_dir(path.parent().expect("in a folder")).expect("there");
+        assert_eq!(files.count(), 1, "nothing unfinished is left");
     }
 }
