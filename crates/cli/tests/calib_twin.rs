@@ -1,5 +1,7 @@
 //! Calibration without hardware: the board of the twin's calibration place, then the checks, as an operator runs them.
 
+use std::path::Path;
+
 use crate::answer::json;
 use crate::process::lsfb;
 use crate::rig_files::{apart, write_rig};
@@ -15,20 +17,20 @@ fn outcome<'a>(printed: &'a Value, name: &str) -> &'a str {
     check.and_then(|c| c["outcome"].as_str()).unwrap_or("none")
 }
 
-#[test]
-fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
-    let folder = tempfile::tempdir().expect("folder");
+/// A walk before the board, where the LiDAR is by it (`after.toml`), and how far off that is: degrees, millimetres.
+fn placed_by_the_board(seed: u64, folder: &Path) -> (Walk, [f64; 2]) {
     let mut config = SimConfig {
         place: Place::Calibration,
+        seed,
         ..SimConfig::default()
     };
     config.scan.duration_s = 60.0;
     let walk = Walk::simulate(&config, &["cam0"], 20.0);
-    walk.write(&folder.path().join("scan.mcap"), 0.0);
+    walk.write(&folder.join("scan.mcap"), 0.0);
     // The rig as it is before: nobody knows where the LiDAR is.
     let mut before = walk.rig.clone();
     before.lidars.clear();
-    write_rig(&folder.path().join("before.toml"), &before);
+    write_rig(&folder.join("before.toml"), &before);
 
     let arguments = [
         "calib",
@@ -46,16 +48,37 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         "--out",
         "after.toml",
     ];
-    let found = json(folder.path(), &arguments, 0);
-    let after = Rig::read(&folder.path().join("after.toml")).expect("rig");
-    let [turn_deg, shift_mm] = apart(
+    let found = json(folder, &arguments, 0);
+    let after = Rig::read(&folder.join("after.toml")).expect("rig");
+    let off = apart(
         &after.lidar().expect("placed").rig_from_lidar,
         &walk.rig.lidar().expect("a LiDAR").rig_from_lidar,
     );
+    let largest = |from: usize| {
+        let sigmas = (from..from + 3).filter_map(|k| found["sigma"][k].as_f64());
+        sigmas.fold(0.0, f64::max)
+    };
+    let sigmas = [largest(0).to_degrees(), 1e3 * largest(3)];
+    let is_within = off
+        .iter()
+        .zip(sigmas)
+        .all(|(off, sigma)| *off < 3.0 * sigma);
     assert!(
-        turn_deg < 0.15 && shift_mm < 8.0,
-        "{turn_deg}° {shift_mm} mm: {found}"
+        is_within && sigmas[0] < 0.1 && sigmas[1] < 4.0,
+        "{off:?}: {found}"
     );
+    (walk, off)
+}
+
+#[test]
+fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
+    let (folder, other) = (tempfile::tempdir(), tempfile::tempdir());
+    let (folder, other) = (folder.expect("folder"), other.expect("folder"));
+    let (walk, [turn_deg, shift_mm]) = placed_by_the_board(1, folder.path());
+    let (_, [other_deg, other_mm]) = placed_by_the_board(2, other.path());
+    let rms = |a: f64, b: f64| (0.5 * (a * a + b * b)).sqrt();
+    assert!(rms(turn_deg, other_deg) < 0.12, "{turn_deg}° {other_deg}°");
+    assert!(rms(shift_mm, other_mm) < 5.0, "{shift_mm} mm {other_mm} mm");
     let page = std::fs::read_to_string(folder.path().join("after.html")).expect("a page");
     assert!(page.contains("holdout") && page.contains("<svg"), "{page}");
 

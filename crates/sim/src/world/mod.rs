@@ -110,8 +110,7 @@ impl World {
     /// Builds the furnished room and corridor of `seed`, with texels of `texel_m` metres.
     pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Result<Self, Stopped> {
         let plan = FloorPlan::new(seed);
-        let (mut builder, lamps) = furnish(&plan, seed);
-        coplanar::separate(&mut builder.surfaces);
+        let (builder, lamps) = furnish(&plan, seed);
         let lighting = Lighting {
             lamps: Lamps::new(&lamps),
             sun: None,
