@@ -66,7 +66,7 @@ pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
     corners.retain_mut(|seen| refine::refine(image, seen));
     let bends = bent_edges::bends(target, &corners);
     for (seen, bends) in corners.iter_mut().zip(&bends) {
-        if bends.iter().any(|bend| bend.norm() > 0.0) {
+        if *bends != bent_edges::STRAIGHT {
             refine::fit_sectors(image, seen, bends);
         }
     }

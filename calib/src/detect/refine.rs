@@ -4,6 +4,7 @@
 use lsfb_geometry::{Matrix2, Vector2};
 use lsfb_types::Image;
 
+use super::bent_edges::STRAIGHT;
 use super::{RoughCorner, saddle_fit};
 
 /// Windows, half their edge, pixels.
@@ -21,7 +22,7 @@ pub(super) fn refine(image: &Image, seen: &mut RoughCorner) -> bool {
     };
     seen.pixel = at;
     // Where no sectors are seen the corner keeps the place that gradients give it.
-    fit_sectors(image, seen, &[Vector2::zeros(); 2]);
+    fit_sectors(image, seen, &STRAIGHT);
     true
 }
 
@@ -89,7 +90,6 @@ mod tests {
     use super::*;
 
     const SIZE: usize = 40;
-    const STRAIGHT: [Vector2<f64>; 2] = [Vector2::new(0.0, 0.0); 2];
 
     /// A tag's corner beside the dark square in the gap, `gap_px` wide across, turned and sheared as boards are seen aslant: its edges meet
     /// at `opening_rad`. Pixels are means of what is in them, and blurred by as much again where asked for.

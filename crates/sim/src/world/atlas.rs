@@ -88,9 +88,8 @@ impl Atlas {
         let blend = (bits & 0x7f_ffff) as f32 * (1.0 / 8_388_608.0);
         let (x, y) = (a * texture.size[0], b * texture.size[1]);
         let level = level.min(texture.last);
-        let first = (texture.first_level + level) as usize;
         let read = |number: u32| {
-            let level = &self.levels[first + (number - level) as usize];
+            let level = &self.levels[(texture.first_level + number) as usize];
             match texture.is_measured {
                 true => self.by_splines(level, x, y, number),
                 false => self.bilinear(level, x, y, number),

@@ -27,6 +27,8 @@ use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::in_view::InView;
+use super::report::Span;
 use super::run::not_used;
 use super::start::{Start, start_states};
 use super::trusted::{Solution, trusted};
@@ -345,6 +347,19 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
     }
     let middle = solved.last.estimate.states[FRAMES / 2].bias;
     assert!((middle.gyro_rad_s - Vector3::new(0.004, -0.006, 0.003)).norm() < 1e-3);
+}
+
+/// What is left out of a walk of which all poses are known to a millimetre and halves of the map agree.
+fn spans_left_out(walk: &Walk, accepted: &[bool], in_view: &[InView]) -> Vec<Span> {
+    let config = GroundTruthConfig::default();
+    let found = Solution {
+        states: &started(walk, &config).states,
+        accepted,
+        covariances: &[Some(Matrix6::identity() * 1e-6); FRAMES],
+        disagreements_m: &[0.0; FRAMES],
+        in_view,
+    };
+    trusted(walk, &found, &config).left_out
 }
 
 #[test]

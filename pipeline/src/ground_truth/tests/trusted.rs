@@ -18,16 +18,7 @@ fn left_out(seen_in: std::ops::Range<usize>, localized: bool) -> Vec<(i64, i64)>
             frame.localized = None;
         }
     }
-    let config = GroundTruthConfig::default();
-    let start = started(&walk, &config);
-    let found = Solution {
-        states: &start.states,
-        accepted: &accepted,
-        covariances: &[Some(Matrix6::identity() * 1e-6); FRAMES],
-        disagreements_m: &[0.0; FRAMES],
-        in_view: &[],
-    };
-    let spans = trusted(&walk, &found, &config).left_out;
+    let spans = spans_left_out(&walk, &accepted, &[]);
     assert!(
         spans
             .iter()
