@@ -1,6 +1,6 @@
-//! Cameras on an IMU against exact truth: `simulated_rig SEEDS SECONDS` prints the errors of each seed and, by kind of parameter,
-//! how often they lie within 1.96 of their stated standard deviations; `simulated_rig shuffle RUNS` gives the same input in
-//! other orders.
+//! Cameras on an IMU against exact truth: `simulated_rig SEEDS SECONDS [AXES]` prints the errors of each seed and, by kind of
+//! parameter, how often they lie within 1.96 of their stated standard deviations, with IMUs whose scales and axes are off by AXES
+//! (a share and rad; 0); `simulated_rig shuffle RUNS` gives the same input in other orders.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -31,7 +31,10 @@ fn main() -> Result<(), Failure> {
     let word = |k: usize, default: &str| arguments.get(k).map_or(default.into(), String::clone);
     match word(0, "20").as_str() {
         "shuffle" => shuffle(word(1, "100").parse()?),
-        seeds => seeds_against_truth(seeds.parse()?, word(1, "60").parse()?),
+        seeds => {
+            let [duration_s, axes_sigma] = [word(1, "60"), word(2, "0")].map(|word| word.parse());
+            seeds_against_truth(seeds.parse()?, duration_s?, axes_sigma?)
+        }
     }
 }
 
@@ -155,6 +158,7 @@ fn errors(simulated: &Simulated, found: &CameraImuCalibration) -> DVector<f64> {
             put(format!("{what} {axis}"), found[k] - truth[k]);
         }
     }
+    put("accelerometer delay".to_owned(), found.imu.accel_delay_s);
     let names = &found.covariance.names;
     DVector::from_iterator(names.len(), names.iter().map(|name| by_name[name]))
 }
@@ -164,6 +168,7 @@ fn kind(name: &str) -> &'static str {
     let word = name.split(' ').nth(1).unwrap_or_default();
     match (name.split(' ').next().unwrap_or_default(), word) {
         ("gyroscope", _) => "gyroscope bias",
+        ("accelerometer", "delay") => "accelerometer's delay",
         ("accelerometer", _) => "accelerometer bias",
         ("gravity", _) => "gravity",
         (_, "turn") => "rotation",
@@ -265,12 +270,13 @@ impl Tally {
 }
 
 #[allow(clippy::print_stdout, reason = "an example prints its result")]
-fn seeds_against_truth(seeds: u64, duration_s: f64) -> Result<(), Failure> {
+fn seeds_against_truth(seeds: u64, duration_s: f64, axes_sigma: f64) -> Result<(), Failure> {
     let mut tally = Tally::default();
     for seed in 1..=seeds {
         let simulated = simulate(&Setup {
             seed,
             duration_s,
+            axes_sigma,
             ..Setup::default()
         });
         let start = Instant::now();

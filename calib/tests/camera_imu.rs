@@ -1,5 +1,7 @@
 //! Cameras on an IMU, against exact truth and with input that is bad.
 
+use std::collections::BTreeMap;
+
 use lsfb_calib::camera_imu::{
     AccelDelay, Axes, BoardShape, CameraImuCalibration, CameraImuConfig, JointCovariance,
     KnownCamera, Readout, calibrate_camera_imu,
@@ -214,6 +216,67 @@ fn order_does_not_matter() {
     assert_eq!(again, straight);
 }
 
+/// What an IMU's maker leaves of its axes' errors is in the standard deviations, and where they are taken as ideal it is not.
+#[test]
+fn nearly_ideal_axes_are_in_the_deviations() {
+    let mut squares = BTreeMap::new();
+    for seed in 1..=4 {
+        let simulated = simulate(&Setup {
+            seed,
+            duration_s: 5.0,
+            axes_sigma: 1e-3,
+            ..Setup::default()
+        });
+        for axes in [Axes::NearlyIdeal, Axes::Ideal] {
+            let config = CameraImuConfig {
+                axes,
+                view_step: 2,
+                ..CameraImuConfig::default()
+            };
+            let found = calibrate(&simulated, &config);
+            for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
+                let off = (truth.camera_from_rig.inverse() * c.camera_from_rig).log();
+                let clock_s = c.rig_from_camera_s - truth.rig_from_camera_s;
+                let focal_px = c.lens[0].value - truth.camera.focal_px()[0];
+                let in_sigmas = [
+                    ("turn", off[0] / c.covariance[(0, 0)].sqrt()),
+                    ("turn", off[1] / c.covariance[(1, 1)].sqrt()),
+                    ("turn", off[2] / c.covariance[(2, 2)].sqrt()),
+                    ("shift", off[3] / c.covariance[(3, 3)].sqrt()),
+                    ("shift", off[4] / c.covariance[(4, 4)].sqrt()),
+                    ("shift", off[5] / c.covariance[(5, 5)].sqrt()),
+                    ("clock", clock_s / c.rig_from_camera_sigma_s),
+                    ("focal length", focal_px / c.lens[0].sigma),
+                ];
+                for (what, share) in in_sigmas {
+                    let of = squares
+                        .entry((what, axes == Axes::Ideal))
+                        .or_insert((0.0, 0.0));
+                    *of = (of.0 + share * share, of.1 + 1.0);
+                }
+            }
+        }
+    }
+    let rms = |what, ideal| {
+        let (sum, count): (f64, f64) = squares[&(what, ideal)];
+        (sum / count).sqrt()
+    };
+    for what in ["turn", "shift", "clock", "focal length"] {
+        assert!(rms(what, false) < 1.5, "{what}: {squares:?}");
+    }
+    assert!(rms("turn", true) > 3.0, "{squares:?}");
+
+    // Far beyond what a maker leaves: said, not taken in silence.
+    let simulated = simulate(&Setup {
+        axes_sigma: 1e-2,
+        ..Setup::default()
+    });
+    let found = calibrate(&simulated, &CameraImuConfig::default());
+    let named =
+        |f: &Finding| f.verdict == Verdict::Warn && f.what.contains("scale and axes are off");
+    assert!(found.findings.iter().any(named), "{:?}", found.findings);
+}
+
 #[test]
 fn axes_of_the_imu_and_readout_times_are_found() {
     let simulated = simulate(&Setup {
@@ -413,8 +476,12 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         &no_progress,
     )
     .expect("calibrated");
-    let named = |f: &Finding| f.what.contains("the board is of another size");
+    let named = |f: &Finding| {
+        f.verdict == Verdict::Fail && f.what.contains("smaller than said, by the accelerometer")
+    };
     assert!(found.findings.iter().any(named), "{:?}", found.findings);
+    let off = 1.05 * (1.0 + found.board_excess) - 1.0;
+    assert!(off.abs() < 4.0 * found.board_excess_sigma, "{off}");
 
     let mut pushed = simulated.clone();
     for (_, sample) in &mut pushed.imu {

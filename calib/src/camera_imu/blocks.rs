@@ -7,7 +7,7 @@ use nalgebra::{SVector, Vector1};
 
 use super::bend::{Bend, SIZE};
 use super::effort::{BoardSize, Effort};
-use super::inertial::{AccelAxes, GyroAxes};
+use super::inertial::{AxisErrors, TURNED};
 use super::state::RigEstimate;
 use super::{AccelDelay, Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
@@ -32,8 +32,8 @@ pub(super) struct Blocks {
     pub readouts: Vec<Block<Vector1<f64>>>,
     pub gyro_bias: Vec<Block<Vector3<f64>>>,
     pub accel_bias: Vec<Block<Vector3<f64>>>,
-    pub gyro_axes: Block<GyroAxes>,
-    pub accel_axes: Block<AccelAxes>,
+    pub gyro_axes: Block<AxisErrors>,
+    pub accel_axes: Block<AxisErrors>,
     pub accel_delay: Block<Vector1<f64>>,
     pub gravity: Block<Vector3<f64>>,
     pub bend: Block<Bend>,
@@ -140,9 +140,22 @@ impl RigEstimate {
                 }
             }
         }
-        if config.axes == Axes::Ideal {
-            problem.set_constant(blocks.gyro_axes);
-            problem.set_constant(blocks.accel_axes);
+        problem.set_name(blocks.gyro_axes.id(), "axes of the gyroscope");
+        problem.set_name(blocks.accel_axes.id(), "axes of the accelerometer");
+        match config.axes {
+            Axes::Ideal => {
+                problem.set_constant(blocks.gyro_axes);
+                problem.set_constant(blocks.accel_axes);
+            }
+            Axes::NearlyIdeal => {
+                let sigma = AxisErrors::repeat(config.axes_sigma);
+                for triad in [blocks.gyro_axes, blocks.accel_axes] {
+                    let prior = VectorPrior::new(AxisErrors::zeros(), sigma);
+                    problem.add_residual(prior, &[triad.id()], Kernel::Squared)?;
+                }
+            }
+            // The accelerometer says what the rig's axes are.
+            Axes::Estimated => problem.set_constant_components(blocks.accel_axes, &TURNED)?,
         }
         for camera in &self.cameras {
             let pose = problem.add_block(camera.camera_from_rig);

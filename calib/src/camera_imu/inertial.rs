@@ -9,27 +9,26 @@ use nalgebra::{SMatrix, SVector, Vector1};
 
 use super::ORDER;
 
-/// Errors of the gyroscope's axes by rows: `M − 1`.
-pub(super) type GyroAxes = SVector<f64, 9>;
-/// Errors of the accelerometer's axes, whose x axis is that of the rig: `xx, yx, yy, zx, zy, zz` of `M − 1`.
-pub(super) type AccelAxes = SVector<f64, 6>;
+/// Errors of a triad's axes by rows: `M − 1`.
+pub(super) type AxisErrors = SVector<f64, 9>;
+/// Those by which the accelerometer's x axis leaves that of the rig, and its y axis the plane of x and y: `xy, xz, yz`.
+pub(super) const TURNED: [usize; 3] = [1, 2, 5];
 
-/// Row and column of each of [`AccelAxes`].
-const ACCEL_PLACES: [[usize; 2]; 6] = [[0, 0], [1, 0], [1, 1], [2, 0], [2, 1], [2, 2]];
-
-pub(super) fn gyro_matrix(axes: &GyroAxes) -> Matrix3<f64> {
-    Matrix3::identity() + Matrix3::from_row_slice(axes.as_slice())
+pub(super) fn triad_matrix(errors: &AxisErrors) -> Matrix3<f64> {
+    Matrix3::identity() + Matrix3::from_row_slice(errors.as_slice())
 }
 
-pub(super) fn accel_matrix(axes: &AccelAxes) -> Matrix3<f64> {
-    let mut matrix = Matrix3::identity();
-    for (place, error) in ACCEL_PLACES.iter().zip(axes.iter()) {
-        matrix[(place[0], place[1])] += error;
+/// How a triad's samples, `M v`, change with its axes; rows by what is known of them.
+fn by_axes(of: &Vector3<f64>, inverse_sigma: &Vector3<f64>) -> SMatrix<f64, 3, 9> {
+    let mut by = SMatrix::<f64, 3, 9>::zeros();
+    for row in 0..3 {
+        let of_row = of.transpose() * inverse_sigma[row];
+        by.fixed_view_mut::<1, 3>(row, 3 * row).copy_from(&of_row);
     }
-    matrix
+    by
 }
 
-/// `r = (M ω(t) + b(t) − z) / σ`. Blocks: [`ORDER`] rotations, two control points of the bias, [`GyroAxes`].
+/// `r = (M ω(t) + b(t) − z) / σ`. Blocks: [`ORDER`] rotations, two control points of the bias, [`AxisErrors`].
 pub(super) struct Gyro {
     pub weights: Weights<ORDER>,
     /// Where between the two control points of the bias.
@@ -43,7 +42,7 @@ const GYRO_SHAPES: [Shape; ORDER + 3] = {
     let mut shapes = [Shape::of::<UnitQuaternion<f64>>(); ORDER + 3];
     shapes[ORDER] = Shape::of::<Vector3<f64>>();
     shapes[ORDER + 1] = Shape::of::<Vector3<f64>>();
-    shapes[ORDER + 2] = Shape::of::<GyroAxes>();
+    shapes[ORDER + 2] = Shape::of::<AxisErrors>();
     shapes
 };
 
@@ -64,10 +63,10 @@ impl Residual for Gyro {
         let rotations: [UnitQuaternion<f64>; ORDER] = std::array::from_fn(|k| parameters.get(k));
         let (b0, b1): (Vector3<f64>, Vector3<f64>) =
             (parameters.get(ORDER), parameters.get(ORDER + 1));
-        let axes: GyroAxes = parameters.get(ORDER + 2);
+        let axes: AxisErrors = parameters.get(ORDER + 2);
         let at = spline::rotation_with_jacobians(&self.weights, &rotations).ok_or(Undefined)?;
         let weight = Matrix3::from_diagonal(&self.inverse_sigma);
-        let matrix = gyro_matrix(&axes);
+        let matrix = triad_matrix(&axes);
         let rate = at.at.angular_velocity;
         let bias = b0 + (b1 - b0) * self.bias_share;
         out.set_residual(&(weight * (matrix * rate + bias - self.measured)));
@@ -77,20 +76,13 @@ impl Residual for Gyro {
         }
         out.set_jacobian(ORDER, &(weight * (1.0 - self.bias_share)));
         out.set_jacobian(ORDER + 1, &(weight * self.bias_share));
-        let mut by_axes = SMatrix::<f64, 3, 9>::zeros();
-        for row in 0..3 {
-            let of_row = rate.transpose() * self.inverse_sigma[row];
-            by_axes
-                .fixed_view_mut::<1, 3>(row, 3 * row)
-                .copy_from(&of_row);
-        }
-        out.set_jacobian(ORDER + 2, &by_axes);
+        out.set_jacobian(ORDER + 2, &by_axes(&rate, &self.inverse_sigma));
         Ok(())
     }
 }
 
 /// `r = (M R(t − d)ᵀ (a(t − d) − g) + b(t) − z) / σ` with `d` the delay after the gyroscope. Blocks: [`ORDER`] rotations,
-/// [`ORDER`] positions, two control points of the bias, gravity, [`AccelAxes`], the delay.
+/// [`ORDER`] positions, two control points of the bias, gravity, [`AxisErrors`], the delay.
 pub(super) struct Accelerometer {
     /// Stamp of the sample after the start of the first control point's segment, and the spacing, seconds.
     pub time_in_segment_s: f64,
@@ -109,7 +101,7 @@ const ACCELEROMETER_SHAPES: [Shape; 2 * ORDER + 5] = {
         shapes[k] = Shape::of::<UnitQuaternion<f64>>();
         k += 1;
     }
-    shapes[2 * ORDER + 3] = Shape::of::<AccelAxes>();
+    shapes[2 * ORDER + 3] = Shape::of::<AxisErrors>();
     shapes[2 * ORDER + 4] = Shape::of::<Vector1<f64>>();
     shapes
 };
@@ -141,7 +133,7 @@ impl Residual for Accelerometer {
         let positions: [Vector3<f64>; ORDER] = std::array::from_fn(|k| parameters.get(ORDER + k));
         let [b0, b1, gravity]: [Vector3<f64>; 3] =
             std::array::from_fn(|k| parameters.get(2 * ORDER + k));
-        let axes: AccelAxes = parameters.get(2 * ORDER + 3);
+        let axes: AxisErrors = parameters.get(2 * ORDER + 3);
         let delay: Vector1<f64> = parameters.get(2 * ORDER + 4);
         let time_s = self.time_in_segment_s - delay.x;
         let weights = self.weights(time_s);
@@ -155,7 +147,7 @@ impl Residual for Accelerometer {
             .into_inner();
         let force = rig_from_target * (position.acceleration - gravity);
         let weight = Matrix3::from_diagonal(&self.inverse_sigma);
-        let by_force = weight * accel_matrix(&axes);
+        let by_force = weight * triad_matrix(&axes);
         let bias = b0 + (b1 - b0) * self.bias_share;
         out.set_residual(&(by_force * force + weight * (bias - self.measured)));
         let turned = by_force * so3::hat(&force);
@@ -167,11 +159,7 @@ impl Residual for Accelerometer {
         out.set_jacobian(2 * ORDER, &(weight * (1.0 - self.bias_share)));
         out.set_jacobian(2 * ORDER + 1, &(weight * self.bias_share));
         out.set_jacobian(2 * ORDER + 2, &-moved);
-        let mut by_axes = SMatrix::<f64, 3, 6>::zeros();
-        for (k, [row, column]) in ACCEL_PLACES.into_iter().enumerate() {
-            by_axes[(row, k)] = self.inverse_sigma[row] * force[column];
-        }
-        out.set_jacobian(2 * ORDER + 3, &by_axes);
+        out.set_jacobian(2 * ORDER + 3, &by_axes(&force, &self.inverse_sigma));
         if out.wants_jacobian(2 * ORDER + 4) {
             let acceleration = |weights: &Weights<ORDER>| -> Vector3<f64> {
                 let terms = positions.iter().zip(weights.acceleration);
@@ -277,8 +265,8 @@ mod tests {
         let biases = biases.map(|b| problem.add_block(b).id());
         let gravity = problem.add_block(Vector3::new(0.1, -9.7, 0.5)).id();
         let error = |k: usize| 0.01 * (k as f64 - 3.0);
-        let gyro_axes = problem.add_block(GyroAxes::from_fn(|k, _| error(k))).id();
-        let accel_axes = problem.add_block(AccelAxes::from_fn(|k, _| error(k))).id();
+        let gyro_axes = problem.add_block(AxisErrors::from_fn(|k, _| error(k))).id();
+        let accel_axes = problem.add_block(AxisErrors::from_fn(|k, _| error(k))).id();
         let delay = problem.add_block(Vector1::new(0.003)).id();
         let weights = Weights::at(0.4, 0.1);
         let measured = Vector3::new(0.1, 0.2, 0.3);

@@ -5,8 +5,11 @@ use lsfb_types::{Finding, Judgement, Limit, Verdict};
 
 use super::board_size::BoardExcess;
 use super::state::RigEstimate;
-use super::{CameraImuCalibration, CameraOnImu, ORDER, SplitEstimate, checks};
+use super::{
+    Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, ORDER, SplitEstimate, checks,
+};
 use crate::board::Target;
+use crate::camera::Estimate;
 use crate::findings;
 use crate::residual_diagnosis::Diagnosis;
 
@@ -14,6 +17,8 @@ use crate::residual_diagnosis::Diagnosis;
 const CLEAR_DELAY: f64 = 4.0;
 /// Largest delay between the triads that filters explain, seconds.
 const WORRYING_DELAY_S: f64 = 0.01;
+/// Multiple of what is said of the IMU's axes beforehand, beyond which they are none of that.
+const WORRYING_AXES: f64 = 4.0;
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
 const WORRYING_RATIO: f64 = 5.0;
 /// Coverage below which a warning is due.
@@ -298,6 +303,33 @@ impl RigEstimate {
             .limit(limit)
             .remedy(format!("rotate more around {axis}"))
     }
+}
+
+/// Whether the IMU's axes are what is said of them: those who use it take them as ideal.
+pub(super) fn axes(found: &[Estimate], config: &CameraImuConfig) -> Option<Finding> {
+    let worst = found
+        .iter()
+        .max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
+    let limit = Limit::AtMost(100.0 * WORRYING_AXES * config.axes_sigma);
+    let is_chance = worst.value.abs() < DEVIATIONS * worst.sigma;
+    let percent = 100.0 * worst.value.abs();
+    let verdict = Verdict::Warn.unless(is_chance || limit.holds(percent));
+    let what = format!(
+        "its scale and axes are off by {percent:.2} ± {:.2} % at most ({})",
+        100.0 * worst.sigma,
+        worst.name
+    );
+    let finding = Finding::new("imu-scale", verdict, "IMU", what)
+        .value(percent, "%")
+        .sigma(100.0 * worst.sigma)
+        .limit(limit);
+    let remedy = match config.axes {
+        Axes::Estimated => {
+            "calibrate the IMU by itself: whatever uses the rig takes its axes as ideal"
+        }
+        _ => "set axes = \"estimated\", or axes_sigma to what the IMU's data sheet says",
+    };
+    Some(finding.remedy(remedy))
 }
 
 fn clock_sigma(c: &CameraOnImu) -> Finding {

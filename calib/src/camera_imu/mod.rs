@@ -90,10 +90,15 @@ pub enum Lenses {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axes {
-    /// They are to scale and at right angles.
-    #[default]
+    /// They are to scale and at right angles, as Kalibr has it by default. Where they are not, poses, clocks and lenses are off by
+    /// more than they say.
     Ideal,
-    /// Scale and misalignment of both triads are searched: needs a motion rich about and along all axes.
+    /// They are as its maker calibrated them, to [`CameraImuConfig::axes_sigma`]: searched, with that known beforehand. The rig's
+    /// axes lie between those of the two triads, and poses of cameras are known no better than those.
+    #[default]
+    NearlyIdeal,
+    /// Nothing is known of scale and misalignment: needs a motion rich about and along all axes. The rig's x axis is the
+    /// accelerometer's, and its y axis lies in the plane of the accelerometer's x and y.
     Estimated,
 }
 
@@ -141,6 +146,10 @@ pub struct CameraImuConfig {
     pub board: BoardShape,
     /// Whether scale and misalignment of the IMU are searched.
     pub axes: Axes,
+    /// Standard deviation of each axis' scale (as a share) and of each angle by which it leans towards another (rad), where axes
+    /// are nearly ideal. An IMU that its maker calibrated is within a tenth of a per cent and a milliradian (Xsens MTi manual:
+    /// 0.05°); bare chips, within one or three per cent.
+    pub axes_sigma: f64,
     /// Whether the accelerometer may measure later than the gyroscope.
     pub accel_delay: AccelDelay,
     /// Whether readout times are searched.
@@ -173,7 +182,8 @@ impl Default for CameraImuConfig {
         Self {
             lenses: Lenses::Refined,
             board: BoardShape::Flat,
-            axes: Axes::Ideal,
+            axes: Axes::NearlyIdeal,
+            axes_sigma: 1e-3,
             accel_delay: AccelDelay::Estimated,
             readout: Readout::Known,
             knot_spacing_s: 0.02,
@@ -195,6 +205,7 @@ lsfb_types::bounds! {
         lenses: any,
         board: any,
         axes: any,
+        axes_sigma: number(Bounds::POSITIVE),
         accel_delay: any,
         readout: any,
         knot_spacing_s: number(Bounds::POSITIVE),
@@ -276,7 +287,7 @@ pub struct FoundImu {
     /// `measured = matrix · true + bias` of the gyroscope; one where axes were not searched.
     #[serde(skip)]
     pub gyro_matrix: Matrix3<f64>,
-    /// The same of the accelerometer, whose x axis is that of the rig.
+    /// The same of the accelerometer.
     #[serde(skip)]
     pub accel_matrix: Matrix3<f64>,
     /// Errors of the axes with their standard deviations, empty where they were not searched: `gyro xy` is the share of the

@@ -6,7 +6,7 @@ use nalgebra::{RowSVector, SMatrix};
 use super::bend::{BEND, Bend, bends};
 use super::board_size::BoardExcess;
 use super::effort::Moved;
-use super::inertial::{accel_matrix, gyro_matrix};
+use super::inertial::{TURNED, triad_matrix};
 use super::state::{Mounted, RigEstimate, View};
 use super::uncertainty::Uncertainty;
 use super::{
@@ -90,8 +90,10 @@ impl RigEstimate {
         let middle = self.middle_bias();
         let axes = match config.axes {
             Axes::Ideal => vec![],
-            Axes::Estimated => self.axes(&uncertainty.axes),
+            Axes::NearlyIdeal => self.axes(&uncertainty.axes, &[]),
+            Axes::Estimated => self.axes(&uncertainty.axes, &TURNED),
         };
+        findings.extend(judgement::axes(&axes, config));
         let [gyro_histogram, accel_histogram] = inertial.histogram;
         let (board_bend_m, board_bend_sigma_m) = self.largest_bend(target, &uncertainty.bend);
         if board_bend_sigma_m > 0.0 {
@@ -104,8 +106,8 @@ impl RigEstimate {
                 gyro_bias_sigma_rad_s: uncertainty.gyro_bias.into(),
                 accel_bias_m_s2: self.accel_bias[middle].into(),
                 accel_bias_sigma_m_s2: uncertainty.accel_bias.into(),
-                gyro_matrix: gyro_matrix(&self.gyro_axes),
-                accel_matrix: accel_matrix(&self.accel_axes),
+                gyro_matrix: triad_matrix(&self.gyro_axes),
+                accel_matrix: triad_matrix(&self.accel_axes),
                 axes,
                 accel_delay_s: self.accel_delay_s,
                 accel_delay_sigma_s: uncertainty.accel_delay_s,
@@ -306,17 +308,16 @@ impl RigEstimate {
         })
     }
 
-    /// Errors of the IMU's axes with their standard deviations.
-    fn axes(&self, sigmas: &[f64]) -> Vec<Estimate> {
+    /// Errors of the IMU's axes with their standard deviations, those of the accelerometer left out that were not searched.
+    fn axes(&self, sigmas: &[f64], fixed: &[usize]) -> Vec<Estimate> {
         let axis = ["x", "y", "z"];
-        let gyro = (0..3).flat_map(|row| (0..3).map(move |column| ("gyro", row, column)));
-        let accel = (0..3).flat_map(|row| (0..=row).map(move |column| ("accel", row, column)));
-        let values = self.gyro_axes.iter().chain(self.accel_axes.iter());
+        let gyro = self.gyro_axes.iter().enumerate().map(|of| ("gyro", of));
+        let accel = self.accel_axes.iter().enumerate().map(|of| ("accel", of));
         gyro.chain(accel)
-            .zip(values)
             .zip(sigmas)
-            .map(|(((triad, row, column), value), sigma)| Estimate {
-                name: format!("{triad} {}{}", axis[row], axis[column]),
+            .filter(|((triad, (place, _)), _)| *triad == "gyro" || !fixed.contains(place))
+            .map(|((triad, (place, value)), sigma)| Estimate {
+                name: format!("{triad} {}{}", axis[place / 3], axis[place % 3]),
                 value: *value,
                 sigma: *sigma,
             })
@@ -328,7 +329,10 @@ impl RigEstimate {
         let mut count = [0.0; 2];
         let mut histogram = [vec![0; BINS], vec![0; BINS]];
         let mut jitter = Jitter::default();
-        let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
+        let matrices = [
+            triad_matrix(&self.gyro_axes),
+            triad_matrix(&self.accel_axes),
+        ];
         for sample in &self.samples {
             // Each triad where the motion was when it measured.
             let times = [sample.time_s, sample.time_s - self.accel_delay_s];

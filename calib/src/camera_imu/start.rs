@@ -8,7 +8,7 @@ use lsfb_types::Timestamp;
 
 use super::bend::Bend;
 use super::gyro_alignment::GyroAlignment;
-use super::inertial::{AccelAxes, GyroAxes};
+use super::inertial::AxisErrors;
 use super::input::Input;
 use super::posed_views::{MIN_VIEWS, PosedViews, compare, different_views, look};
 use super::samples::{
@@ -156,8 +156,8 @@ impl RigEstimate {
             gyro_bias: biases.clone(),
             accel_bias: biases,
             bias_spacing_s: (end_s - start_s) / spans,
-            gyro_axes: GyroAxes::zeros(),
-            accel_axes: AccelAxes::zeros(),
+            gyro_axes: AxisErrors::zeros(),
+            accel_axes: AxisErrors::zeros(),
             accel_delay_s: 0.0,
             gravity,
             bend: Bend::zeros(),

@@ -6,7 +6,7 @@ use lsfb_geometry::{Camera, ImuNoiseModel, Se3, Vector2, Vector3};
 use lsfb_types::Finding;
 
 use super::bend::Bend;
-use super::inertial::{AccelAxes, GyroAxes};
+use super::inertial::AxisErrors;
 use super::{Clock, Motion};
 use crate::residual_diagnosis::Unmodelled;
 
@@ -64,8 +64,8 @@ pub(super) struct RigEstimate {
     pub gyro_bias: Vec<Vector3<f64>>,
     pub accel_bias: Vec<Vector3<f64>>,
     pub bias_spacing_s: f64,
-    pub gyro_axes: GyroAxes,
-    pub accel_axes: AccelAxes,
+    pub gyro_axes: AxisErrors,
+    pub accel_axes: AxisErrors,
     /// How much later than the gyroscope the accelerometer measures, seconds.
     pub accel_delay_s: f64,
     pub gravity: Vector3<f64>,

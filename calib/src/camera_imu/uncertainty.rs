@@ -228,7 +228,7 @@ fn asked(
 fn of_axes(blocks: &Blocks, config: &CameraImuConfig) -> Vec<BlockId> {
     match config.axes {
         Axes::Ideal => vec![],
-        Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
+        Axes::NearlyIdeal | Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
     }
 }
 

@@ -52,6 +52,8 @@ pub struct Setup {
     pub accel_delay_s: f64,
     /// Errors of the accelerometer's and gyroscope's scales.
     pub scale_error: f64,
+    /// Standard deviation of each axis' scale, and of each angle (rad) by which it leans towards another, of both triads.
+    pub axes_sigma: f64,
     /// Standard deviation of gravity's magnitude about the standard one, m/s².
     pub gravity_sigma_m_s2: f64,
 }
@@ -69,6 +71,7 @@ impl Default for Setup {
             up: 1.0,
             accel_delay_s: 0.0,
             scale_error: 0.0,
+            axes_sigma: 0.0,
             gravity_sigma_m_s2: 1e-3,
         }
     }
@@ -240,7 +243,12 @@ pub fn simulate(setup: &Setup) -> Simulated {
     let mut place = ChaCha8Rng::seed_from_u64(setup.seed ^ 0x67);
     let magnitude = GRAVITY_M_S2 + setup.gravity_sigma_m_s2 * normal(&mut place);
     let gravity = Vector3::new(0.0, -magnitude * setup.up, 0.0);
-    let (imu, [gyro_bias, accel_bias]) = imu(setup, &motion, &gravity, &mut rng);
+    let mut leaning = ChaCha8Rng::seed_from_u64(setup.seed ^ 0x4178);
+    let axes = [(); 2].map(|()| {
+        Matrix3::identity() * (1.0 + setup.scale_error)
+            + Matrix3::from_fn(|_, _| setup.axes_sigma * normal(&mut leaning))
+    });
+    let (imu, [gyro_bias, accel_bias]) = imu(setup, &motion, &gravity, &axes, &mut rng);
     let views = truth
         .iter()
         .enumerate()
@@ -260,6 +268,7 @@ fn imu(
     setup: &Setup,
     motion: &Motion,
     gravity: &Vector3<f64>,
+    axes: &[Matrix3<f64>; 2],
     rng: &mut ChaCha8Rng,
 ) -> (Vec<(Timestamp, ImuSample)>, [Vector3<f64>; 2]) {
     const RATE_HZ: f64 = 200.0;
@@ -273,11 +282,11 @@ fn imu(
             let time_s = k as f64 / RATE_HZ;
             let [rate, _] = motion.sample(time_s, gravity);
             let [_, force] = motion.sample(time_s - setup.accel_delay_s, gravity);
-            let scale = 1.0 + setup.scale_error;
             let root = RATE_HZ.sqrt();
-            let gyro = rate * scale + gyro_bias + normal3(rng) * (noise.gyro_noise_density * root);
+            let gyro =
+                axes[0] * rate + gyro_bias + normal3(rng) * (noise.gyro_noise_density * root);
             let accel =
-                force * scale + accel_bias + normal3(rng) * (noise.accel_noise_density * root);
+                axes[1] * force + accel_bias + normal3(rng) * (noise.accel_noise_density * root);
             if k == count / 2 {
                 middle = [gyro_bias, accel_bias];
             }
