@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
 use lsfb_calib::camera_imu::{
-    AccelDelay, CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
+    AccelDelay, Axes, CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
 };
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
@@ -187,22 +187,22 @@ fn tum_vi_stereo_and_imu() {
     let known = with_own_lenses(both, &lenses);
     let noise = TUM_VI_IMU_NOISE;
     let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
-    let found_with = |accel_delay: AccelDelay| {
-        let config = CameraImuConfig {
-            accel_delay,
-            ..CameraImuConfig::default()
-        };
-        calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
+    let found_with = |config: &CameraImuConfig| {
+        calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, config, &no_progress)
             .expect("calibrated")
     };
     let official = official(&folder.join("../reference_calibration.json"));
-    // The official places are Kalibr's, which knows no delay of the accelerometer. This one measures 1.6 ms early, also by what
-    // `lsfb vio` finds without a board; left out, that moves cameras by three millimetres (`an_accelerometer_that_measures_before…`).
-    let (as_kalibr, found) = (
-        found_with(AccelDelay::Absent),
-        found_with(AccelDelay::Estimated),
-    );
-    for (found, most_m) in [(&as_kalibr, 2e-3), (&found, 3e-3)] {
+    // The official places are Kalibr's, which knows no delay of the accelerometer and takes the IMU's axes as ideal. This one
+    // measures 1.6 ms early, also by what `lsfb vio` finds without a board; left out, that moves cameras by three millimetres
+    // (`an_accelerometer_that_measures_before…`). Its scale is 0.3 % off by the 36 s that follow, and these 20 s hardly tell that
+    // along y from a place: there the standard deviation is 1.7 mm.
+    let as_kalibr = found_with(&CameraImuConfig {
+        accel_delay: AccelDelay::Absent,
+        axes: Axes::Ideal,
+        ..CameraImuConfig::default()
+    });
+    let found = found_with(&CameraImuConfig::default());
+    for (found, most_m) in [(&as_kalibr, 2e-3), (&found, 5e-3)] {
         for (c, official) in found.cameras.iter().zip(&official) {
             let off = c.camera_from_rig * official.inverse();
             let turn_deg = off.rotation.angle().to_degrees();
@@ -218,6 +218,8 @@ fn tum_vi_stereo_and_imu() {
             assert!(c.rms_px <= 0.2, "{}", c.rms_px);
             assert!(turn_deg <= 0.1, "{turn_deg}°");
             assert!(place_m <= most_m, "{place_m} m, at most {most_m} m");
+            let sigma_m = Vector3::from(c.position_sigma_m).norm();
+            assert!(place_m <= 3.0 * sigma_m, "{place_m} ± {sigma_m} m");
             // Official stamps need no offset.
             assert!(c.rig_from_camera_s.abs() <= 5e-4);
         }

@@ -214,12 +214,13 @@ impl RigEstimate {
         found
     }
 
-    /// What is said of one camera.
+    /// What is said of one camera; `spread_px` is what the gyroscope leaves of views that were held back.
     pub(super) fn camera_findings(
         &self,
         target: &Target,
         k: usize,
         c: &CameraOnImu,
+        spread_px: f64,
     ) -> Vec<Finding> {
         let name = &c.name;
         let (stamps, seen): (Vec<String>, Vec<_>) = self.seen_with_stamps(k).unzip();
@@ -230,7 +231,7 @@ impl RigEstimate {
         found.push(findings::coverage(name, &c.cells, LEAST_COVERAGE));
         found.push(findings::outliers(name, c.outliers, c.corners + c.outliers));
         if let Some(holdout_px) = c.holdout_rms_px {
-            let most_px = 1.5 * c.rms_px + 0.05;
+            let most_px = 1.5 * c.rms_px.hypot(spread_px) + 0.05;
             found.push(findings::holdout(name, holdout_px, c.rms_px, most_px));
         }
         let worst_mm = c.position_sigma_m.iter().copied().fold(0.0, f64::max) * 1e3;

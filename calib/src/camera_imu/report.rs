@@ -57,6 +57,32 @@ impl RigEstimate {
             .collect()
     }
 
+    /// By how much the gyroscope's noise moves the views of a camera that were held back, root mean square in pixels: between the
+    /// views before and after one, what it integrates is a random walk of which both ends are known.
+    fn holdout_spread_px(&self, camera: usize, gyro_ratio: f64) -> f64 {
+        let adjusted = self.views.iter().filter(|v| !v.holdout);
+        let mut times: Vec<f64> = adjusted.map(|v| self.time_s(v)).collect();
+        times.sort_by(f64::total_cmp);
+        let held = |v: &&View| v.camera == camera && v.holdout;
+        let spans = self.views.iter().filter(held).filter_map(|view| {
+            let time_s = self.time_s(view);
+            let after = times.partition_point(|t| *t < time_s);
+            Some((
+                time_s - times.get(after.checked_sub(1)?)?,
+                times.get(after)? - time_s,
+            ))
+        });
+        let (sum, count) = spans.fold((0.0, 0.0), |(sum, count), (before, after)| {
+            (
+                sum + before * after / (before + after).max(1e-9),
+                count + 1.0,
+            )
+        });
+        let turn_rad = gyro_ratio.max(1.0) * self.noise.gyro_noise_density;
+        let by_turn = turn_rad * f64::sqrt(2.0 * sum / f64::max(count, 1.0));
+        self.cameras[camera].camera.focal_px()[0] * by_turn
+    }
+
     pub fn report(
         self,
         target: &Target,
@@ -80,7 +106,8 @@ impl RigEstimate {
         let mut findings = vec![judgement::size(target, &excess, board_is_measured)];
         findings.extend(self.motion_findings(target, inertial.ratio, inertial.jitter_s));
         for (k, camera) in cameras.iter().enumerate() {
-            findings.extend(self.camera_findings(target, k, camera));
+            let spread_px = self.holdout_spread_px(k, inertial.ratio[0]);
+            findings.extend(self.camera_findings(target, k, camera, spread_px));
         }
         findings.extend(judgement::halves(&uncertainty.halves));
         findings.extend(judgement::accel_delay(

@@ -38,7 +38,7 @@ fn placed_by_the_board(seed: u64, folder: &Path) -> (Walk, [f64; 2]) {
         "--april-grid",
         "6,6,0.088,0.3",
         "--plate-m",
-        "0.833,0.833",
+        "0.836,0.836",
         "--camera",
         "cam0",
         "--recording",

@@ -10,8 +10,6 @@ use crate::world::material::Material;
 
 /// Edge of one tag, metres.
 pub const TAG_M: f32 = 0.088;
-/// White margin around the grid, metres.
-const MARGIN_M: f32 = 0.06;
 /// The room.
 pub(super) const ROOM: Area = Area::new([0.0, 6.0], [0.0, 5.0]);
 /// Middle of the board, metres.
@@ -30,6 +28,8 @@ pub struct CalibrationBoard {
     pub up: [f64; 3],
     /// Edge of one tag, metres.
     pub tag_m: f64,
+    /// Edge of the plate that the grid is in the middle of, metres.
+    pub plate_m: f64,
 }
 
 impl CalibrationBoard {
@@ -45,6 +45,7 @@ impl CalibrationBoard {
             right: [0.0, -1.0, 0.0],
             up: [0.0, 0.0, 1.0],
             tag_m: f64::from(TAG_M),
+            plate_m: 2.0 * (half + f64::from(april_grid::margin_m(TAG_M))),
         }
     }
 
@@ -80,7 +81,7 @@ pub(super) fn room(site: &mut Site) {
     plant(site.out(), &rng, [0.6, 4.4, 0.0], 1.5, 0.4);
     // Looked at along x: right is −y.
     let board = Placement::new(CENTRE, -std::f32::consts::FRAC_PI_2);
-    let half = 0.5 * april_grid::edge_m(TAG_M) + MARGIN_M;
+    let half = 0.5 * april_grid::edge_m(TAG_M) + april_grid::margin_m(TAG_M);
     let plate = Material::BLANK.toned(0.5);
     let out = site.out();
     let (low, high) = ([-half, 0.0, -half], [half, BOARD_M, half]);

@@ -69,9 +69,17 @@ pub fn corners_m(id: usize, tag_m: f32) -> [[f32; 2]; 4] {
         .map(|[x, y]| [low[0] + x * tag_m, low[1] + y * tag_m])
 }
 
-/// Edge of the texels that the grid is printed with at most, metres, of tags of this size: whole ones fit into a cell.
+/// Width of the white margin around a grid, metres, of tags of this size: whole cells, for [`texel_m`].
+pub fn margin_m(tag_m: f32) -> f32 {
+    7.0 * tag_m / CELLS as f32
+}
+
+/// Edge of the texels that the grid is printed with, metres, of tags of this size. Eight fit into a cell, and cells into gaps and
+/// margin: all edges lie between texels, and do so in the three levels that are halved from them. Elsewhere interpolation moves
+/// an edge by up to a hundredth of a texel or two, not the same from tag to tag.
 pub(super) fn texel_m(tag_m: f32) -> f32 {
-    tag_m / (8 * CELLS) as f32
+    // A little more, so that rounding adds none to a whole number of them.
+    1.000_01 * tag_m / (8 * CELLS) as f32
 }
 
 /// Paints the grid in the middle of a canvas.

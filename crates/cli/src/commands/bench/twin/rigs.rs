@@ -15,7 +15,7 @@ use lsfb_calib::{Target, TransformEdge};
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Rig, RigLidar, Se3};
 use lsfb_recording::{Provenance, Recording};
-use lsfb_sim::{CameraConfig as SimulatedCameras, LensKind, SimConfig, TAG_M};
+use lsfb_sim::{CalibrationBoard, CameraConfig as SimulatedCameras, LensKind, SimConfig, TAG_M};
 use lsfb_types::{Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -25,8 +25,6 @@ use crate::standing;
 
 /// Gap between tags of the twin's board, as a share of a tag's edge.
 const SPACING_RATIO: f64 = 0.3;
-/// Edge of its plate, metres.
-const PLATE_M: f64 = 0.833;
 /// Poses of the board that place the LiDAR, at most.
 const LIDAR_POSES: usize = 60;
 
@@ -164,10 +162,11 @@ impl Calibration<'_> {
 
     /// Each camera by itself, since no two see the board at once; then the LiDAR to each, and all of them joined.
     fn backpack(&self, names: &[&str], noise_m: f64, rig: &mut Rig) -> anyhow::Result<()> {
+        let plate_m = CalibrationBoard::of_room().plate_m;
         let board = MountedBoard {
             target: Self::target(),
-            width_m: PLATE_M,
-            height_m: PLATE_M,
+            width_m: plate_m,
+            height_m: plate_m,
             offset_m: [0.0; 2],
         };
         let mut edges: Vec<TransformEdge> = Vec::new();
