@@ -17,6 +17,7 @@ pub struct Se3 {
 
 impl Se3 {
     /// The transform that changes nothing.
+    #[inline]
     pub fn identity() -> Self {
         Self {
             rotation: UnitQuaternion::identity(),
@@ -25,6 +26,7 @@ impl Se3 {
     }
 
     /// From its two parts.
+    #[inline]
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         Self {
             rotation,
@@ -60,6 +62,7 @@ impl Se3 {
     }
 
     /// `source_from_target`.
+    #[inline]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self {
@@ -69,6 +72,7 @@ impl Se3 {
     }
 
     /// The rotation as a matrix.
+    #[inline]
     pub fn rotation_matrix(&self) -> Matrix3<f64> {
         self.rotation.to_rotation_matrix().into_inner()
     }
@@ -172,6 +176,7 @@ fn coupling_coefficients(squared: f64) -> [f64; 3] {
 
 impl Mul for Se3 {
     type Output = Se3;
+    #[inline]
     fn mul(self, rhs: Se3) -> Se3 {
         let mut rotation = self.rotation * rhs.rotation;
         // Long products drift off the unit sphere; one Newton step holds them there.
@@ -185,6 +190,7 @@ impl Mul for Se3 {
 
 impl Mul<Vector3<f64>> for Se3 {
     type Output = Vector3<f64>;
+    #[inline]
     fn mul(self, point: Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }

@@ -1,5 +1,7 @@
 //! Walks that are solved as one.
 
+use std::path::Path;
+
 use lsfb_geometry::StampedPose;
 use lsfb_recording::Recording;
 
@@ -129,18 +131,23 @@ fn walks_with_nothing_in_common_stay_as_they_are() {
 fn recorded_walks_are_solved_as_one_if_each_is_right() {
     let map = map(1);
     let folder = tempfile::tempdir().expect("folder");
+    // What was found in the images of each is looked for once.
+    let opened = |path: &Path| {
+        let stages = KeptStages::in_folder(&path.with_extension("stages"), "walk");
+        let recording = Recording::open(path).expect("recording");
+        (recording, stages.expect("folder"))
+    };
     let recorded = |name: &str, room: Paint, frames: usize| {
         let path = folder.path().join(name);
         Measured::in_room(room, frames).record(&path, &rig());
-        Recording::open(&path).expect("recording")
+        opened(&path)
     };
     let long = recorded("long.mcap", Paint::of(1), WALK_FRAMES);
     let short = recorded("short.mcap", Paint::of(1), WALK_FRAMES * 2 / 3);
     let elsewhere = recorded("elsewhere.mcap", Paint::other_floor(1), WALK_FRAMES);
-    let solve = |first: &Recording, other: &Recording| {
+    let solve = |first: &(Recording, KeptStages), other: &(Recording, KeptStages)| {
         let config = GroundTruthConfig::default();
-        let none = KeptStages::none();
-        let walks = [(first, &none), (other, &none)];
+        let walks = [first, other].map(|(recording, stages)| (recording, stages));
         ground_truth_together(&walks, &map, &config, &no_progress)
     };
     let both = [solve(&long, &short), solve(&short, &long)].map(|s| s.expect("solved"));
@@ -177,7 +184,7 @@ fn recorded_walks_are_solved_as_one_if_each_is_right() {
         image.time = image.time.plus_nanos(100_000_000);
     }
     late.record(&path, &rig());
-    let late = Recording::open(&path).expect("recording");
+    let late = opened(&path);
     for (first, other) in [(&long, &late), (&late, &long)] {
         let refused = match solve(first, other) {
             Err(Error::OtherWalk { error, .. }) => *error,
