@@ -65,20 +65,6 @@ impl Place {
         }
     }
 
-    /// Whether places of one seed are one world as far as both reach: the large office holds hall, atrium, corridors and stairs, each where its own
-    /// place has it.
-    pub fn is_one_with(self, other: Self) -> bool {
-        const HELD: [Place; 5] = [
-            Place::ExhibitionHall,
-            Place::Atrium,
-            Place::WideCorridor,
-            Place::NarrowCorridor,
-            Place::Stairs,
-        ];
-        let holds = |a: Self, b: Self| a == Self::LargeOffice && HELD.contains(&b);
-        self == other || holds(self, other) || holds(other, self)
-    }
-
     /// The place of a name.
     pub fn named(name: &str) -> Option<Self> {
         [Self::Demo, Self::Calibration, Self::Imported]

@@ -22,6 +22,28 @@ pub(crate) use route::{Route, route, there_and_back};
 use site::{Area, Site};
 
 impl Place {
+    /// Where the origin of this place lies in another of the same seed, metres, if the two are one world as far as both reach: the large office holds
+    /// hall, atrium, corridors and stairs.
+    pub fn origin_in(self, other: Self) -> Option<[f64; 2]> {
+        let within = |part: Self| {
+            let area = match part {
+                Self::ExhibitionHall => office::EXHIBITION,
+                Self::Atrium => office::ATRIUM,
+                Self::WideCorridor => office::WIDE,
+                Self::NarrowCorridor => office::NARROW,
+                Self::Stairs => office::STAIRS,
+                _ => return None,
+            };
+            Some([area.x[0], area.y[0]].map(f64::from))
+        };
+        match (self, other) {
+            _ if self == other => Some([0.0; 2]),
+            (part, Self::LargeOffice) => within(part),
+            (Self::LargeOffice, part) => within(part).map(|at| at.map(|v| -v)),
+            _ => None,
+        }
+    }
+
     /// Builds what is configured.
     pub(crate) fn build(config: &SimConfig, progress: ProgressFn) -> Result<World, Error> {
         let (seed, texel_m) = (config.seed, config.texel_m);
