@@ -26,6 +26,7 @@ mod halves;
 mod inertial;
 mod input;
 mod judgement;
+mod knot_spacing;
 mod outliers;
 mod page;
 mod parts;
@@ -154,7 +155,7 @@ pub struct CameraImuConfig {
     pub accel_delay: AccelDelay,
     /// Whether readout times are searched.
     pub readout: Readout,
-    /// Time between control points of the motion, seconds.
+    /// Least time between control points of the motion, seconds; up to twice that where the IMU's samples need no more of them.
     pub knot_spacing_s: f64,
     /// Time between control points of the biases, seconds.
     pub bias_spacing_s: f64,

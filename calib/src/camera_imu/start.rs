@@ -10,6 +10,7 @@ use super::bend::Bend;
 use super::gyro_alignment::GyroAlignment;
 use super::inertial::AxisErrors;
 use super::input::Input;
+use super::knot_spacing::knot_spacing_s;
 use super::posed_views::{MIN_VIEWS, PosedViews, compare, different_views, look};
 use super::samples::{
     MARGIN_S, check_rotation, crop, end_within_a_segment, excitation, interval_s, samples_of,
@@ -116,7 +117,7 @@ impl RigEstimate {
         let interval_s = interval_s(&samples);
         let knots = spline::UniformKnots {
             start_s,
-            spacing_s: config.knot_spacing_s,
+            spacing_s: knot_spacing_s(&samples, config.knot_spacing_s),
         };
         end_within_a_segment(&mut samples, &knots);
         let end_s = samples.last().map_or(end_s, |s| s.time_s);

@@ -1,5 +1,6 @@
 //! What goes wrong is on the operator's screen within a second, in the recording, and in the exit code.
 
+use std::io::ErrorKind;
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -9,7 +10,7 @@ use lsfb_recording::message::decode_health_value;
 use lsfb_recording::{HEALTH, Recording};
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use tungstenite::{Message, WebSocket};
+use tungstenite::{Error, Message, WebSocket};
 
 use super::recorded::{frames, mynt_d, record};
 use crate::running::Running;
@@ -22,7 +23,12 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// The next state that the page is shown.
 fn state(page: &mut WebSocket<TcpStream>) -> Value {
     loop {
-        if let Message::Text(text) = page.read().expect("the screen")
+        let message = match page.read() {
+            // By a signal that another test waits for.
+            Err(Error::Io(error)) if error.kind() == ErrorKind::Interrupted => continue,
+            message => message.expect("the screen"),
+        };
+        if let Message::Text(text) = message
             && let Ok(state) = serde_json::from_str::<Value>(&text)
             && state.get("phase").is_some()
         {
