@@ -190,8 +190,9 @@ fn clients_that_have_gone_make_room() {
     let (screen, _requests) = open(None);
     let mut answering = live(&screen);
     let gone: Vec<_> = (0..15).map(|_| live(&screen)).collect();
-    let (leave, left) = std::sync::mpsc::channel::<()>();
-    let stays = std::thread::spawn(move || {
+    let (leave, left) = std::sync::mpsc::sync_channel::<()>(1);
+    let stays = std::thread::Builder::new().name("answers".to_owned());
+    let stays = stays.spawn(move || {
         while left.try_recv().is_err() {
             answering.read().unwrap();
         }
@@ -210,7 +211,7 @@ fn clients_that_have_gone_make_room() {
     };
     json_until(&mut operator, |v| v["phase"] == "ready");
     leave.send(()).expect("it stayed");
-    stays.join().expect("it was answered to the end");
+    stays.unwrap().join().expect("it was answered to the end");
     drop(gone);
 }
 

@@ -1,6 +1,6 @@
 //! A headless Chromium, driven by its DevTools protocol.
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::io::{BufRead as _, BufReader, ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tungstenite::{Message, WebSocket};
+use tungstenite::{Error, Message, WebSocket};
 
 /// Names under which it is installed.
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
@@ -154,8 +154,12 @@ impl Tab {
             .send(Message::text(message.to_string()))
             .expect("browser");
         loop {
-            let Message::Text(text) = self.socket.read().expect("browser") else {
-                continue;
+            let text = match self.socket.read() {
+                Ok(Message::Text(text)) => text,
+                Ok(_) => continue,
+                // By a signal that another test waits for.
+                Err(Error::Io(error)) if error.kind() == ErrorKind::Interrupted => continue,
+                Err(error) => panic!("browser: {error}"),
             };
             let answer: Value = serde_json::from_str(&text).expect("JSON");
             if answer["id"] == self.sent {

@@ -69,7 +69,7 @@ pub fn corners_m(id: usize, tag_m: f32) -> [[f32; 2]; 4] {
         .map(|[x, y]| [low[0] + x * tag_m, low[1] + y * tag_m])
 }
 
-/// Width of the white margin around a grid, metres, of tags of this size: whole cells, for [`texel_m`].
+/// Width of the white margin around a grid, metres, of tags of this size: whole cells, as its texels fit into these.
 pub fn margin_m(tag_m: f32) -> f32 {
     7.0 * tag_m / CELLS as f32
 }
