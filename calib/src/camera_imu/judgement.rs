@@ -306,30 +306,31 @@ impl RigEstimate {
     }
 }
 
-/// Whether the IMU's axes are what is said of them: those who use it take them as ideal.
+/// Whether the IMU's axes are what is said of them: those who use it take them as ideal. Nothing where they were not searched.
 pub(super) fn axes(found: &[Estimate], config: &CameraImuConfig) -> Option<Finding> {
-    let worst = found
-        .iter()
-        .max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
+    let finding = |verdict, what: String| Finding::new("imu-scale", verdict, "IMU", what);
+    let is_clear = |axis: &&Estimate| axis.value.abs() >= DEVIATIONS * axis.sigma;
+    let clear = found.iter().filter(is_clear);
+    let Some(worst) = clear.max_by(|a, b| a.value.abs().total_cmp(&b.value.abs())) else {
+        let what = "its scale and axes are not seen to be off".to_owned();
+        return (!found.is_empty()).then(|| finding(Verdict::Pass, what));
+    };
+    let (percent, sigma) = (100.0 * worst.value.abs(), 100.0 * worst.sigma);
     let limit = Limit::AtMost(100.0 * WORRYING_AXES * config.axes_sigma);
-    let is_chance = worst.value.abs() < DEVIATIONS * worst.sigma;
-    let percent = 100.0 * worst.value.abs();
-    let verdict = Verdict::Warn.unless(is_chance || limit.holds(percent));
     let what = format!(
-        "its scale and axes are off by {percent:.2} ± {:.2} % at most ({})",
-        100.0 * worst.sigma,
+        "its scale and axes are off by {percent:.2} ± {sigma:.2} % at most ({})",
         worst.name
     );
-    let finding = Finding::new("imu-scale", verdict, "IMU", what)
-        .value(percent, "%")
-        .sigma(100.0 * worst.sigma)
-        .limit(limit);
     let remedy = match config.axes {
         Axes::Estimated => {
             "calibrate the IMU by itself: whatever uses the rig takes its axes as ideal"
         }
         _ => "set axes = \"estimated\", or axes_sigma to what the IMU's data sheet says",
     };
+    let finding = finding(Verdict::Warn.unless(limit.holds(percent)), what)
+        .value(percent, "%")
+        .sigma(sigma)
+        .limit(limit);
     Some(finding.remedy(remedy))
 }
 
