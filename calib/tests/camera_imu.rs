@@ -266,6 +266,21 @@ fn nearly_ideal_axes_are_in_the_deviations() {
     }
     assert!(rms("turn", true) > 3.0, "{squares:?}");
 
+    // An IMU that is far worse than said, and a motion that hardly shows it: not called good.
+    for seed in [1, 2] {
+        let simulated = simulate(&Setup {
+            seed,
+            duration_s: 5.0,
+            axes_sigma: 1e-2,
+            turning_rad: [0.06, 0.05, 0.05],
+            ..Setup::default()
+        });
+        let found = calibrate(&simulated, &CameraImuConfig::default());
+        let finding = found.findings.iter().find(|f| f.code == "imu-scale");
+        let finding = finding.expect("axes are judged");
+        assert_ne!(finding.verdict, Verdict::Pass, "{finding:?}");
+    }
+
     // Far beyond what a maker leaves: said, not taken in silence.
     let simulated = simulate(&Setup {
         axes_sigma: 1e-2,

@@ -10,28 +10,23 @@ use nalgebra::{Const, DMatrix, Dyn, OMatrix};
 
 use super::state::Sample;
 
-/// Spacings that are tried, as multiples of the least, the farthest first.
-const MULTIPLES: [f64; 2] = [2.0, 1.5];
-/// Length of the pieces through which splines are laid, seconds.
-const PIECE_S: f64 = 2.0;
-/// Growth of the variance about a spline that is none of the motion: in half a minute of samples it is known to a hundredth or two.
+/// Pieces through which splines are laid: as long as so many of the least spacing.
+const PIECE: usize = 120;
+/// Spacings, by how many of them a piece has: the least, and the coarser ones that are tried, the farthest first.
+const LEAST: usize = PIECE;
+const COARSER: [usize; 2] = [PIECE / 2, PIECE * 2 / 3];
+/// Growth of the variance about splines that is none of the motion: of all samples of half a minute, which know it to a hundredth or
+/// two, and of a piece of two seconds, so that a moment of fast motion is not lost among minutes of rest.
 const MOST_GROWTH: f64 = 1.05;
+const MOST_GROWTH_OF_PIECE: f64 = 1.25;
 
 /// The spacing, seconds: `least_s`, or up to twice that.
 pub(super) fn knot_spacing_s(samples: &[Sample], least_s: f64) -> f64 {
-    let Some(least) = variances(samples, least_s) else {
-        return least_s;
-    };
-    let is_enough = |spacing_s: &f64| {
-        variances(samples, *spacing_s).is_some_and(|found| {
-            let pairs = found.iter().zip(&least);
-            pairs
-                .map(|(found, least)| found / least)
-                .all(|growth| growth <= MOST_GROWTH)
-        })
-    };
-    let coarser = MULTIPLES.map(|multiple| multiple * least_s);
-    coarser.into_iter().find(is_enough).unwrap_or(least_s)
+    let piece_s = PIECE as f64 * least_s;
+    let least = spreads(samples, piece_s, LEAST);
+    let is_enough = |segments: &usize| is_alike(&least, &spreads(samples, piece_s, *segments));
+    let segments = COARSER.into_iter().find(is_enough).unwrap_or(LEAST);
+    piece_s / segments as f64
 }
 
 /// Squares about splines, and how many of them are free.
@@ -41,37 +36,55 @@ struct Spread {
     freedom: f64,
 }
 
-/// Variance of a sample of gyroscope and accelerometer about splines: cubic ones, as angular velocities of the motion are, and
-/// parabolas, as its accelerations are. `None` where samples are too few to tell.
-fn variances(samples: &[Sample], spacing_s: f64) -> Option<[f64; 2]> {
-    let first_s = samples.first()?.time_s;
-    let segments = (PIECE_S / spacing_s).floor();
-    if !(1.0..=1e3).contains(&segments) {
-        return None;
+impl Spread {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            squares: self.squares + other.squares,
+            freedom: self.freedom + other.freedom,
+        }
     }
-    let piece_s = segments * spacing_s;
+
+    /// Whether the variance has not grown by more than that; not where there is none to tell by.
+    fn is_within(&self, most_growth: f64, least: &Self) -> bool {
+        let [own, least] = [self, least].map(|s| s.squares / s.freedom);
+        least > 0.0 && own <= most_growth * least
+    }
+}
+
+/// Whether samples lie no farther from coarser splines, all together and in every piece.
+fn is_alike(least: &[[Spread; 2]], coarser: &[[Spread; 2]]) -> bool {
+    (0..2).all(|triad| {
+        let of = |pieces: &[[Spread; 2]]| {
+            let own = pieces.iter().map(|piece| piece[triad]);
+            own.fold(Spread::default(), Spread::plus)
+        };
+        let mut pairs = least.iter().zip(coarser).map(|(l, c)| (l[triad], c[triad]));
+        of(coarser).is_within(MOST_GROWTH, &of(least))
+            && pairs.all(|(l, c)| l.freedom == 0.0 || c.is_within(MOST_GROWTH_OF_PIECE, &l))
+    })
+}
+
+/// How far samples of gyroscope and accelerometer lie from splines of so many segments a piece: cubic ones, as angular velocities of the
+/// motion are, and parabolas, as its accelerations are. Nothing of pieces that samples do not determine, or that are cut off.
+fn spreads(samples: &[Sample], piece_s: f64, segments: usize) -> Vec<[Spread; 2]> {
+    let first_s = samples.first().map_or(0.0, |s| s.time_s);
     let number = |s: &Sample| ((s.time_s - first_s) / piece_s).floor();
-    let mut spreads = [Spread::default(); 2];
-    for piece in samples.chunk_by(|a, b| number(a) == number(b)) {
-        let is_cut_off =
-            |s: &Sample| s.gyro_saturated.contains(&true) || s.accel_saturated.contains(&true);
+    let is_cut_off =
+        |s: &Sample| s.gyro_saturated.contains(&true) || s.accel_saturated.contains(&true);
+    let of_piece = |piece: &[Sample]| {
         if piece.iter().any(is_cut_off) {
-            continue;
+            return [Spread::default(); 2];
         }
         let knots = UniformKnots {
-            start_s: first_s + number(piece.first()?) * piece_s,
-            spacing_s,
+            start_s: first_s + piece.first().map_or(0.0, number) * piece_s,
+            spacing_s: piece_s / segments as f64,
         };
-        let gyro = about_spline::<4>(piece, &knots, segments as usize, |s| s.gyro);
-        let accel = about_spline::<3>(piece, &knots, segments as usize, |s| s.accel);
-        for (all, own) in spreads.iter_mut().zip([gyro, accel]) {
-            let own = own.unwrap_or_default();
-            all.squares += own.squares;
-            all.freedom += own.freedom;
-        }
-    }
-    let [gyro, accel] = spreads.map(|s| s.squares / s.freedom);
-    (gyro > 0.0 && accel > 0.0).then_some([gyro, accel])
+        let gyro = about_spline::<4>(piece, &knots, segments, |s| s.gyro);
+        let accel = about_spline::<3>(piece, &knots, segments, |s| s.accel);
+        [gyro, accel].map(Option::unwrap_or_default)
+    };
+    let pieces = samples.chunk_by(|a, b| number(a) == number(b));
+    pieces.map(of_piece).collect()
 }
 
 /// About the spline of order `N` nearest to the samples; `None` where they do not determine it.
@@ -149,6 +162,15 @@ mod tests {
         assert_eq!(knot_spacing_s(&samples(12.0, 0.02), least_s), least_s);
         // Of a good IMU on the same motion less is noise.
         assert_eq!(knot_spacing_s(&samples(6.0, 1e-4), least_s), least_s);
+    }
+
+    #[test]
+    fn a_moment_of_fast_motion_is_not_lost_among_slow_ones() {
+        let mut mostly_slow = samples(1.0, 0.5);
+        let mut fast = samples(12.0, 0.5);
+        mostly_slow.splice(1950..2350, fast.drain(1950..2350));
+        assert_eq!(knot_spacing_s(&samples(1.0, 0.5), 0.02), 0.04);
+        assert!(knot_spacing_s(&mostly_slow, 0.02) < 0.04);
     }
 
     #[test]

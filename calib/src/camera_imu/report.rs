@@ -57,8 +57,8 @@ impl RigEstimate {
             .collect()
     }
 
-    /// By how much the gyroscope's noise moves the views of a camera that were held back, root mean square in pixels: between the
-    /// views before and after one, what it integrates is a random walk of which both ends are known.
+    /// By how much the gyroscope's noise, as found, moves the views of a camera that were held back, root mean square in pixels: between
+    /// the views before and after one, what it integrates is a random walk of which both ends are known.
     fn holdout_spread_px(&self, camera: usize, gyro_ratio: f64) -> f64 {
         let adjusted = self.views.iter().filter(|v| !v.holdout);
         let mut times: Vec<f64> = adjusted.map(|v| self.time_s(v)).collect();
@@ -78,7 +78,7 @@ impl RigEstimate {
                 count + 1.0,
             )
         });
-        let turn_rad = gyro_ratio.max(1.0) * self.noise.gyro_noise_density;
+        let turn_rad = gyro_ratio * self.noise.gyro_noise_density;
         let by_turn = turn_rad * f64::sqrt(2.0 * sum / f64::max(count, 1.0));
         self.cameras[camera].camera.focal_px()[0] * by_turn
     }

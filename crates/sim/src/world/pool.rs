@@ -145,7 +145,7 @@ fn order(surface: &Surface, texel_m: f32, look: Look, seed: u64) -> (Key, Order)
             ([0; 2], [edge; 2], 0)
         }
         Marks::AprilGrid(tag_m) => {
-            texel_m = texel_m.min(april_grid::texel_m(tag_m));
+            texel_m = april_grid::texel_m(tag_m);
             (size.map(|s| (s * 1e4) as i32), size, 0)
         }
         _ => {
