@@ -18,7 +18,8 @@ parameters.setRelinearizeThreshold(0.01)
 parameters.relinearizeSkip = 1
 isam = gtsam.ISAM2(parameters)
 graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-n, seen, here, out = 0, set(), None, open(sys.argv[2], "w")
+n, seen, known, here, out = 0, set(), {}, None, open(sys.argv[2], "w")
+fixed = gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)
 out.write("keyframe,cpu_ms,cost\n")
 
 
@@ -48,6 +49,8 @@ for line in open(sys.argv[1]):
         first, rotation, translation = numbers
         start = gtsam.noiseModel.Isotropic.Sigma(6, first)
         odometry = gtsam.noiseModel.Diagonal.Sigmas(np.repeat((rotation, translation), 3))
+    elif word == "map":
+        known[int(numbers[0])] = np.array(numbers[1:])
     elif word == "keyframe":
         if n:
             update()
@@ -63,11 +66,14 @@ for line in open(sys.argv[1]):
         n += 1
     elif word == "see":
         point, left, right, row = int(numbers[0]), *numbers[1:]
-        if point not in seen:
-            seen.add(point)
+        if point not in seen and point in known:
+            values.insert(L(point), known[point])
+            graph.push_back(gtsam.PriorFactorPoint3(L(point), known[point], fixed))
+        elif point not in seen:
             depth = fx * baseline / max(left - right, 1.0)
             local = np.array(((left - cx) * depth / fx, (row - cy) * depth / fy, depth))
             values.insert(L(point), here.transformFrom(local))
+        seen.add(point)
         measured = gtsam.StereoPoint2(left, right, row)
         graph.push_back(gtsam.GenericStereoFactor3D(measured, pixel, X(n - 1), L(point), lens))
 update()

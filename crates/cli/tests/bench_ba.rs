@@ -43,6 +43,14 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
     let page = std::fs::read_to_string(root.join("ba/ba.html")).expect("page");
     assert!(page.contains("Peer") && page.contains("incremental"));
 
+    // In a map (Eq. 5), poses are those of the optimum.
+    let in_map = "bench ba --keyframes 60 --points 60 --map-percent 20 --batch-every 20 --out map";
+    let printed = json(root, &in_map.split(' ').collect::<Vec<_>>(), 0);
+    let apart_m = printed["poses_apart_m"].as_f64().expect("a number");
+    assert!(apart_m < 1e-6, "{apart_m:.1e} m");
+    let problem = std::fs::read_to_string(root.join("map/problem.txt")).expect("problem");
+    assert!(problem.lines().any(|l| l.starts_with("map ")));
+
     let again = lsfb(root, &arguments);
     assert_eq!(again.status.code(), Some(1), "{}", said(&again));
     assert!(said(&again).contains("--force"), "{}", said(&again));

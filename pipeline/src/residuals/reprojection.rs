@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use lsfb_geometry::{Camera, Matrix2x3, Matrix2x6, Matrix3, RigCamera, Se3, Vector2, Vector3};
-use lsfb_perception::projection::moved_by_inverse;
+use lsfb_perception::projection::by_pose_of_inverse;
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
 /// A camera of a rig, as residuals share it.
@@ -53,6 +53,7 @@ impl ObservingCamera {
     }
 
     /// [`ObservingCamera::project`] with derivatives.
+    #[inline]
     pub(super) fn see(
         &self,
         world_from_rig: &Se3,
@@ -69,7 +70,7 @@ impl ObservingCamera {
         let by_point_in_rig = projection.pixel_by_point * self.camera_from_rig_rotation;
         Ok(ProjectedPoint {
             pixel: projection.pixel,
-            by_pose: by_point_in_rig * moved_by_inverse(&point_in_rig),
+            by_pose: by_pose_of_inverse(&by_point_in_rig, &point_in_rig),
             by_point: by_point_in_rig * rig_from_world,
         })
     }

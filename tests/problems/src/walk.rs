@@ -1,6 +1,8 @@
 //! A simulated walk round a block, with a stereo camera: keyframes that see points for a while, odometry between
 //! neighbours, and at the end the points of the beginning again.
 
+use std::collections::BTreeMap;
+
 use lsfb_geometry::{Matrix3, Matrix6, Se3, UnitQuaternion, Vector3, Vector6};
 use lsfb_solver::{
     Block, BlockId, Error, Incremental, Kernel, PosePrior, Problem, Residual, ResidualId,
@@ -22,6 +24,11 @@ const HUBER_PX: f64 = 1.0;
 const FIRST_SIGMA: f64 = 1e-3;
 const ROTATION_SIGMA: f64 = 2e-3;
 const TRANSLATION_SIGMA: f64 = 0.02;
+const MAP_ERROR_M: f64 = 0.01;
+const MAP_SEED: u64 = 1000;
+
+/// Takes points of a map from both sides of the walk, and as many from each stretch of it.
+const SPREAD: usize = 37;
 
 /// What one keyframe adds.
 pub struct Keyframe {
@@ -35,11 +42,24 @@ pub struct Walk {
     pub truth: Vec<Se3>,
     pub keyframes: Vec<Keyframe>,
     pub points: usize,
+    /// Points that a map has, and where: their places are known, and held.
+    pub map: BTreeMap<usize, Vector3<f64>>,
 }
 
 impl Walk {
-    /// One lap and a bit, half a metre between keyframes.
+    /// One lap and a bit, half a metre between keyframes; no map.
     pub fn new(keyframes: usize, points_per_keyframe: usize, seed: u64) -> Self {
+        Self::in_map(keyframes, points_per_keyframe, 0, seed)
+    }
+
+    /// The same walk, of whose points a map has so many percent (the fixed points of Eq. 5 in the paper), up to a centimetre beside where they are.
+    pub fn in_map(
+        keyframes: usize,
+        points_per_keyframe: usize,
+        map_percent: u32,
+        seed: u64,
+    ) -> Self {
+        let mut map_rng = ChaCha8Rng::seed_from_u64(seed.wrapping_add(MAP_SEED));
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = move |half: f64| (rng.random::<f64>() * 2.0 - 1.0) * half;
         let turn = std::f64::consts::TAU / (0.96 * keyframes as f64);
@@ -102,17 +122,26 @@ impl Walk {
             }
             frames.push(Keyframe { odometry, seen });
         }
+        let mut beside = || map_rng.random_range(-MAP_ERROR_M..MAP_ERROR_M);
+        let map = points
+            .iter()
+            .enumerate()
+            .map(|(number, (_, point))| (number, point + Vector3::from_fn(|_, _| beside())))
+            .filter(|(number, _)| (number * SPREAD % 100) < map_percent as usize)
+            .collect();
         Self {
             truth,
             keyframes: frames,
             points: places,
+            map,
         }
     }
 
     /// What [`Added::add`] makes a problem of, for other programs: lines of a word and numbers. `camera`: focal lengths,
     /// centre, baseline, scale of the Huber kernel (pixels, metres); `sigmas`: of the first pose, of odometry in rotation and
     /// translation (radians, metres); `keyframe`: pose in the frame before as quaternion xyzw and translation; `see`: number of
-    /// a point, its column in the left and right image, and its row, in the keyframe above.
+    /// a point, its column in the left and right image, and its row, in the keyframe above; `map`: number of a point that is
+    /// known, and where it is.
     pub fn to_text(&self) -> String {
         let [fx, fy] = CAMERA.focal_px;
         let [cx, cy] = CAMERA.centre_px;
@@ -125,6 +154,9 @@ impl Walk {
             let numbers: Vec<String> = numbers.iter().map(f64::to_string).collect();
             numbers.join(" ")
         };
+        for (number, place) in &self.map {
+            text += &format!("map {number} {}\n", join(place.as_slice()));
+        }
         for keyframe in &self.keyframes {
             let pose = &keyframe.odometry;
             let rotation = join(pose.rotation.quaternion().coords.as_slice());
@@ -183,6 +215,21 @@ impl Target<'_> {
         }
     }
 
+    fn add_known_point(&mut self, point: Vector3<f64>) -> Block<Vector3<f64>> {
+        match self {
+            Self::Growing(problem) => {
+                let block = problem.add_block(point);
+                problem.set_constant(block);
+                block
+            }
+            Self::Whole(problem) => {
+                let block = problem.add_block(point);
+                problem.set_constant(block);
+                block
+            }
+        }
+    }
+
     fn pose(&self, block: Block<Se3>) -> Se3 {
         match self {
             Self::Growing(problem) => problem.value(block),
@@ -238,6 +285,11 @@ impl Added {
         for (number, pixel) in &keyframe.seen {
             let point = match self.points[*number] {
                 Some(point) => point,
+                None if walk.map.contains_key(number) => {
+                    let point = target.add_known_point(walk.map[number]);
+                    self.points[*number] = Some(point);
+                    point
+                }
                 None => {
                     let start = begun
                         .and_then(|b| b.first_points[*number])

@@ -105,6 +105,10 @@ fn on_plane(
 /// beyond a fold is not seen even where the polynomial rises again.
 #[inline]
 fn folded(s: f64, k1: f64, k2: f64, k3: f64) -> bool {
+    // It only rises, as of images without distortion.
+    if k1 >= 0.0 && k2 >= 0.0 && k3 >= 0.0 {
+        return false;
+    }
     let slope = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
     if slope(s) <= 0.0 {
         return true;

@@ -5,7 +5,7 @@
 //! solve bal-optimum FILE[.gz] OUT
 //! solve pose-graph FILE.g2o[.gz]
 //! solve stereo FOLDER [SUFFIX]
-//! solve growing [KEYFRAMES] [POINTS]
+//! solve growing [KEYFRAMES] [POINTS] [MAP_PERCENT]
 //! ```
 //!
 //! Peers are in `benches/solver/`.
@@ -74,6 +74,7 @@ fn main() -> Outcome {
         (Some("growing"), keyframes) => growing::run(
             keyframes.map_or(Ok(1000), str::parse)?,
             argument(2).map_or(Ok(60), str::parse)?,
+            argument(3).map_or(Ok(0), str::parse)?,
         ),
         _ => Err("usage: solve bal|bal-optimum|pose-graph|stereo|growing INPUT ..".into()),
     }

@@ -28,44 +28,68 @@ pub(super) struct Trust {
     pub tries_undefined: bool,
 }
 
-/// One residual: `½ ‖b + J s‖²` over the steps `s` of its blocks.
+/// One residual: `½ ‖b + J s‖²` over the steps `s` of its blocks. One line of the processor's cache, since most models are looked
+/// at and few are made anew.
 #[derive(Clone, Copy, Default)]
+#[repr(align(64))]
 struct Model {
     slots: [u32; 2],
     /// First of its numbers: `b`, the Jacobians of its blocks, each row by row, and `J s` where it was linearized.
     start: usize,
-    dimension: usize,
+    dimension: u32,
     /// Length of `b` and Jacobians.
-    length: usize,
+    length: u32,
     /// Root of the kernel's weight; 0 where the residual was never linearized or is undefined.
     root: f64,
     /// What is taken away from the Jacobian along the residual, as a share.
     bend: f64,
     /// Norm where it was linearized, before weighting.
     norm: f64,
-    cost: f64,
-    /// Sum of its Jacobians' entries before weighting, and whether the last linearization found the same: such a residual is
-    /// linear, and its model true wherever its blocks are.
-    sum: f64,
+    /// Whether the last linearization found the Jacobians of the one before: such a residual is linear, and its model true
+    /// wherever its blocks are.
     is_linear: bool,
+}
+
+/// What of a residual is asked for only where it is linearized.
+#[derive(Clone, Copy, Default)]
+struct Linearized {
+    cost: f64,
+    /// Sum of its Jacobians' entries before weighting.
+    sum: f64,
+}
+
+/// Where one block of a residual has its steps, and the residual its Jacobian; of length 0 where there is none.
+#[derive(Clone, Copy)]
+struct Factor {
+    step: u32,
+    length: u32,
+    jacobian: u32,
 }
 
 /// All residuals, by their numbers in the problem.
 #[derive(Default)]
 pub(super) struct Models {
     models: Vec<Model>,
+    linearized: Vec<Linearized>,
     slots: Vec<Slot>,
+    /// One for each slot.
+    factors: Vec<Factor>,
     numbers: Vec<f64>,
     scratch: Vec<f64>,
 }
 
 /// `target = J s`, of the Jacobians in a record.
 #[inline(always)]
-fn product<const FUSED: bool>(record: &[f64], slots: &[Slot], steps: &Steps, target: &mut [f64]) {
+fn product<const FUSED: bool>(
+    record: &[f64],
+    factors: &[Factor],
+    steps: &[f64],
+    target: &mut [f64],
+) {
     target.fill(0.0);
-    for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
-        let step = steps.of(slot.block as usize);
-        let rows = &record[slot.jacobian as usize..];
+    for factor in factors.iter().filter(|factor| factor.length > 0) {
+        let step = &steps[factor.step as usize..][..factor.length as usize];
+        let rows = &record[factor.jacobian as usize..];
         match step.len() {
             3 => product_fixed::<FUSED, 3>(rows, step, target),
             6 => product_fixed::<FUSED, 6>(rows, step, target),
@@ -148,8 +172,9 @@ fn any_stale<const FUSED: bool>(
 impl Models {
     /// Makes room for what the problem has more.
     pub fn grow(&mut self, problem: &Problem) {
-        self.models
-            .resize(problem.residuals.len(), Model::default());
+        let residuals = problem.residuals.len();
+        self.models.resize(residuals, Model::default());
+        self.linearized.resize(residuals, Linearized::default());
     }
 
     /// Whether a residual was registered, and not removed since.
@@ -167,13 +192,18 @@ impl Models {
             let stored = &problem.values[entry.start..entry.start + entry.shape.stored];
             if !stored.iter().all(|x| x.is_finite()) {
                 self.slots.truncate(first);
+                self.factors.truncate(first);
                 return Err(Error::BlockNotFinite { block: block.0 });
             }
             let is_held = steps.part(block.0) == Part::Held;
             let jacobian = if is_held { CONSTANT } else { next as u32 };
-            if !is_held {
-                next += dimension * entry.free();
-            }
+            let length = if is_held { 0 } else { entry.free() };
+            self.factors.push(Factor {
+                step: steps.range(block.0).start as u32,
+                length: length as u32,
+                jacobian,
+            });
+            next += dimension * length;
             self.slots.push(Slot {
                 value: entry.start,
                 mask: entry.mask,
@@ -186,8 +216,8 @@ impl Models {
         self.models[k] = Model {
             slots: [first as u32, self.slots.len() as u32],
             start: self.numbers.len(),
-            dimension,
-            length: next,
+            dimension: dimension as u32,
+            length: next as u32,
             ..Model::default()
         };
         self.numbers
@@ -207,9 +237,9 @@ impl Models {
     pub fn model(&self, k: usize) -> (usize, &[Slot], &[f64]) {
         let model = &self.models[k];
         (
-            model.dimension,
+            model.dimension as usize,
             &self.slots[model.slots[0] as usize..model.slots[1] as usize],
-            &self.numbers[model.start..model.start + model.length],
+            &self.numbers[model.start..][..model.length as usize],
         )
     }
 
@@ -220,21 +250,21 @@ impl Models {
 
     /// Cost of a residual where it was linearized last; `None` where it never was, or is undefined.
     pub fn cost(&self, k: usize) -> Option<f64> {
-        let model = &self.models[k];
-        (model.root > 0.0).then_some(model.cost)
+        (self.models[k].root > 0.0).then_some(self.linearized[k].cost)
     }
 
     /// Linearizes a residual at the problem's values, to which the steps led.
     pub fn linearize(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
         let entry = &problem.residuals[k];
-        let model = &mut self.models[k];
+        let (model, linearized) = (&mut self.models[k], &mut self.linearized[k]);
         if entry.residual.is_none() {
             return Ok(());
         }
-        let slots = &self.slots[model.slots[0] as usize..model.slots[1] as usize];
-        let end = model.start + model.length;
-        let numbers = &mut self.numbers[model.start..end + model.dimension];
-        let (record, shift) = numbers.split_at_mut(model.length);
+        let dimension = model.dimension as usize;
+        let own = model.slots[0] as usize..model.slots[1] as usize;
+        let (slots, factors) = (&self.slots[own.clone()], &self.factors[own]);
+        let numbers = &mut self.numbers[model.start..][..model.length as usize + dimension];
+        let (record, shift) = numbers.split_at_mut(model.length as usize);
         let parameters = Parameters {
             values: &problem.values,
             slots,
@@ -260,14 +290,15 @@ impl Models {
         }
         for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
             let block = slot.block as usize;
-            let length = model.dimension * steps.dimension(block);
+            let length = dimension * steps.dimension(block);
             let rows = &mut record[slot.jacobian as usize..][..length];
             align(problem, block, rows, true);
         }
-        let squared = squared_norm(&record[..model.dimension]);
-        let sum = record[model.dimension..].iter().sum();
-        model.is_linear = model.root > 0.0 && sum == model.sum && entry.kernel == Kernel::Squared;
-        model.sum = sum;
+        let squared = squared_norm(&record[..dimension]);
+        let sum = record[dimension..].iter().sum();
+        let is_same = model.root > 0.0 && sum == linearized.sum;
+        model.is_linear = is_same && entry.kernel == Kernel::Squared;
+        linearized.sum = sum;
         let (robust, norm) = (entry.kernel.at(squared), squared.sqrt());
         let is_settled = model.root > 0.0 && (norm - model.norm).abs() < SETTLED * norm;
         model.bend = if is_settled {
@@ -278,14 +309,14 @@ impl Models {
         };
         model.root = robust.weight.sqrt();
         model.norm = norm;
-        model.cost = 0.5 * robust.cost;
+        linearized.cost = 0.5 * robust.cost;
         if model.bend > 0.0 {
-            bend(record, slots, steps, model.dimension, model.bend);
+            bend(record, slots, steps, dimension, model.bend);
         }
         if model.root != 1.0 {
             record.iter_mut().for_each(|x| *x *= model.root);
         }
-        product::<false>(record, slots, steps, shift);
+        product::<false>(record, factors, steps.all(), shift);
         for (b, shift) in record.iter_mut().zip(&*shift) {
             *b = *b / (1.0 - model.bend) - shift;
         }
@@ -333,11 +364,12 @@ impl Models {
         if model.root == 0.0 {
             return trust.tries_undefined;
         }
-        let slots = &self.slots[model.slots[0] as usize..model.slots[1] as usize];
-        let record = &self.numbers[model.start..model.start + model.length];
-        let shift = &self.numbers[model.start + model.length..][..model.dimension];
-        self.scratch.resize(model.dimension, 0.0);
-        product::<FUSED>(record, slots, steps, &mut self.scratch);
+        let dimension = model.dimension as usize;
+        let factors = &self.factors[model.slots[0] as usize..model.slots[1] as usize];
+        let numbers = &self.numbers[model.start..][..model.length as usize + dimension];
+        let (record, shift) = numbers.split_at(model.length as usize);
+        self.scratch.resize(dimension, 0.0);
+        product::<FUSED>(record, factors, steps.all(), &mut self.scratch);
         let change = &mut self.scratch[..];
         change.iter_mut().zip(shift).for_each(|(c, s)| *c -= s);
         if model.bend == 0.0 && squared_norm(change) > trust.change * trust.change {
@@ -358,7 +390,7 @@ impl Models {
         if model.bend == 0.0 && farthest <= problem.residuals[k].kernel.quadratic_until() {
             return false;
         }
-        let rows = 0..model.dimension;
+        let rows = 0..dimension;
         let along: f64 = rows.clone().map(|row| unit(row) * change[row]).sum();
         let whole = |row: usize| change[row] + model.bend / kept * along * unit(row);
         let moved: f64 = rows.clone().map(|row| whole(row).powi(2)).sum();

@@ -15,7 +15,11 @@ const MOST_RAISE: f64 = 2.0;
 
 /// Groups before the first that an update reached that are moved with it from the first: others wait until it is solved by
 /// itself. Before that, forces between what is new do not cancel yet, and would bend everything that hangs together with it.
-const MARGIN: usize = 24;
+const MARGIN: usize = 8;
+
+/// While what is new is solved by itself, models may be off by this many times the final limits: what remains is found with
+/// everything else. Ten times and more saves more, but forces that do not cancel yet then bend long open chains.
+const NEAR_LOOSER: f64 = 5.0;
 
 /// One of so many points of a block is looked at before the others, where it has at least twice as many.
 const SAMPLED: usize = 16;
@@ -30,11 +34,12 @@ pub(super) struct Kept {
     pub models: Models,
     pub system: System,
     factor: Factor,
-    /// Steps of blocks when all their residuals, and those without points, were linearized last for their turning, and when
-    /// they were looked at last.
+    /// Steps of blocks when all their residuals, and those without points, were linearized last for their turning, when
+    /// they were looked at last, and when they were so near what is new or anywhere.
     turned_from: Vec<f64>,
     bare_turned_from: Vec<f64>,
     looked_from: Vec<f64>,
+    near_looked_from: Vec<f64>,
     /// Scratch of a round.
     stale: Marks,
     points: Marks,
@@ -110,8 +115,13 @@ impl Kept {
                 tries_undefined: round <= ROUNDS_FOR_UNDEFINED,
             };
             if is_near {
+                let looser = Trust {
+                    change: NEAR_LOOSER * trust.change,
+                    kernel: NEAR_LOOSER * trust.kernel,
+                    ..trust
+                };
                 self.solve(problem, config, self.first.saturating_sub(MARGIN));
-                self.look(problem, config, true, trust);
+                self.look(problem, config, true, looser);
                 is_near = !self.stale.is_empty();
             }
             if !is_near {
@@ -151,6 +161,7 @@ impl Kept {
         self.turned_from.resize(self.steps.len(), 0.0);
         self.bare_turned_from.resize(self.steps.len(), 0.0);
         self.looked_from.resize(self.steps.len(), 0.0);
+        self.near_looked_from.resize(self.steps.len(), 0.0);
         self.stale.clear();
         self.points.clear();
         self.blocks.clear();
@@ -272,11 +283,16 @@ impl Kept {
             }
             let range = self.steps.range(*block);
             let step = self.steps.of(*block);
-            let looked_from = &self.looked_from[range.clone()];
-            let limit = config.look_above;
+            let looked_from = if near {
+                &self.near_looked_from
+            } else {
+                &self.looked_from
+            };
+            let (looked_from, limit) = (&looked_from[range.clone()], config.look_above);
             if !self.system.differ(range.clone(), step, looked_from, limit) {
                 continue;
             }
+            self.near_looked_from[range.clone()].copy_from_slice(step);
             if !near {
                 self.looked_from[range.clone()].copy_from_slice(step);
             }

@@ -57,6 +57,11 @@ impl Steps {
         self.parts.get(block).copied().unwrap_or(Part::Held)
     }
 
+    /// Blocks that were taken in.
+    pub fn blocks(&self) -> usize {
+        self.parts.len()
+    }
+
     /// Searched components of all blocks together.
     pub fn len(&self) -> usize {
         self.steps.len()
@@ -73,6 +78,12 @@ impl Steps {
     #[inline]
     pub fn dimension(&self, block: usize) -> usize {
         self.range(block).len()
+    }
+
+    /// Of all blocks, one after the other.
+    #[inline]
+    pub fn all(&self) -> &[f64] {
+        &self.steps
     }
 
     #[inline]

@@ -96,6 +96,52 @@ fn work_does_not_grow_with_the_walk() {
 }
 
 #[test]
+fn in_a_map_poses_are_those_of_the_optimum_and_work_does_not_grow() {
+    for seed in [6, 7, 8] {
+        let walk = Walk::in_map(400, 60, 20, seed);
+        let mut growing =
+            Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+        let mut added = Added::default();
+        let mut work = Vec::new();
+        // The loop closes behind the last of these.
+        for k in 0..360 {
+            added
+                .add(&walk, &mut Target::Growing(&mut growing), None)
+                .expect("blocks fit");
+            let report = growing.update().expect("updates");
+            assert!(report.converged && !report.solved_cold, "{k}: {report:?}");
+            work.push(report.relinearized_residuals + report.factored_columns);
+            if (k + 1) % 60 != 0 {
+                continue;
+            }
+            let mut optimum = growing.snapshot();
+            let config = SolveConfig {
+                cost_tolerance: 0.0,
+                gradient_tolerance: 0.0,
+                step_tolerance: 1e-13,
+                initial_damping: 1e-12,
+                max_iterations: 200,
+                diagnosis: Diagnosis::Off,
+                ..SolveConfig::default()
+            };
+            let least = solve(&mut optimum, &config).expect("solves").final_cost;
+            let above = growing.cost() / least - 1.0;
+            assert!(above < 1e-8, "keyframe {k}: {above:.1e}");
+            let apart_m = added.poses.iter().map(|pose| {
+                (growing.value(*pose).translation - optimum.value(*pose).translation).norm()
+            });
+            let apart_m = apart_m.fold(0.0, f64::max);
+            assert!(apart_m < 1e-6, "keyframe {k}: {apart_m:.1e} m");
+        }
+        let mean = |range: std::ops::Range<usize>| {
+            work[range.clone()].iter().sum::<usize>() as f64 / range.len() as f64
+        };
+        let (early, late) = (mean(60..120), mean(300..360));
+        assert!(late < 1.2 * early, "{early} {late}");
+    }
+}
+
+#[test]
 fn what_is_removed_leaves_no_trace() {
     let walk = Walk::new(30, 40, 4);
     let mut growing =
@@ -199,6 +245,19 @@ fn held_blocks_are_points_of_the_map() {
     let report = growing.update().expect("updates");
     assert!(report.converged);
     assert!((growing.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
+    // A block that is new, and held, does not make everything begin anew.
+    let known = growing.add_block(Vector2::new(7.0, 7.0));
+    growing
+        .add_residual(
+            VectorPrior::new(Vector2::new(6.0, 7.0), Vector2::repeat(1.0)),
+            &[known.id()],
+            Kernel::Squared,
+        )
+        .expect("blocks fit");
+    growing.set_constant(known);
+    let report = growing.update().expect("updates");
+    assert_eq!(report.relinearized_residuals, 1, "{report:?}");
+    assert_eq!(growing.value(known), Vector2::new(7.0, 7.0));
     let problem = growing.into_problem();
     assert!((problem.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
 }

@@ -5,6 +5,9 @@ use std::path::Path;
 use anyhow::Context as _;
 use serde::Serialize;
 
+/// Keyframe from which on growth is looked at, in walks that are long enough.
+const LEAST_GROWN: usize = 100;
+
 /// One keyframe taken in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Update {
@@ -81,9 +84,11 @@ impl Run {
 
     fn growth_exponent(&self) -> Option<f64> {
         let last = self.updates.last()?.keyframe;
-        let inner = self.updates.iter().filter(|u| {
-            10 * u.keyframe >= 3 * last && 10 * u.keyframe <= 9 * last && u.cpu_ms > 0.0
-        });
+        let first = (3 * last / 10).min(LEAST_GROWN);
+        let inner = self
+            .updates
+            .iter()
+            .filter(|u| u.keyframe >= first && 10 * u.keyframe <= 9 * last && u.cpu_ms > 0.0);
         let points: Vec<[f64; 2]> = inner
             .map(|u| [(u.keyframe as f64).ln(), u.cpu_ms.ln()])
             .collect();
