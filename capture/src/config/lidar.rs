@@ -7,7 +7,6 @@ use lsfb_drivers::any_lidar::{Model, Settings};
 use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::velodyne::VelodyneConfig;
 use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
-use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_geometry::MAIN_LIDAR;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
@@ -96,13 +95,7 @@ lsfb_types::bounds! {
 impl LidarSettingsConfig {
     /// The changes, one by one.
     pub(crate) fn changes(&self, data_port: u16, position_port: u16) -> Vec<Setting> {
-        let returns = self.returns.map(|returns| {
-            Setting::Returns(match returns {
-                Returns::Strongest => ReturnMode::Strongest,
-                Returns::Last => ReturnMode::Last,
-                Returns::Dual => ReturnMode::Dual,
-            })
-        });
+        let returns = self.returns.map(Setting::Returns);
         let field_of_view = self
             .field_of_view_deg
             .map(|[start_deg, end_deg]| Setting::FieldOfView(FieldOfView { start_deg, end_deg }));
