@@ -26,7 +26,7 @@ pub struct LidarNetConfig {
     pub data: SocketAddr,
     /// Address for position packets; port 0 takes a free one.
     pub position: SocketAddr,
-    /// The sensor it must be: `vlp-32c`, `vlp-16`, `hdl-32e`, `xt32`, `pandar64` or `qt64`; `any` takes what the packets say.
+    /// The sensor it must be, by its name ([`Model::key`]); `any` takes what the packets say.
     pub model: String,
     /// The packets are of `model` with these returns, whatever they say themselves: old firmware of Velodyne sensors lies.
     pub force_returns: Option<Returns>,
@@ -171,11 +171,8 @@ impl LidarNetConfig {
         let model = match self.model.as_str() {
             ANY => None,
             name => Some(Model::from_key(name).ok_or_else(|| {
-                let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
-                refused(format!(
-                    "model = {name:?} is none of {ANY}, {}",
-                    known.join(", ")
-                ))
+                let known = Model::keys();
+                refused(format!("model = {name:?} is none of {ANY}, {known}"))
             })?),
         };
         if self.force_returns.is_some() && model.is_none() {

@@ -6,6 +6,8 @@ use crate::lidar::Returns;
 pub const BLOCKS: usize = 12;
 /// Distances in a block.
 pub const CHANNELS: usize = 32;
+/// UDP ports of data and of position packets, as the sensor leaves the factory.
+pub const FACTORY_PORTS: [u16; 2] = [2368, 8308];
 
 /// The byte on the wire for each return mode. In dual mode even blocks hold the last echo, odd blocks the strongest.
 pub const fn code_of_returns(returns: Returns) -> u8 {

@@ -97,8 +97,8 @@ mod tests {
     #[test]
     fn a_sensor_that_is_not_simulated_is_refused_by_name() {
         for model in Model::ALL {
-            let text = format!("model = \"{}\"", model.key());
-            let config: LidarConfig = toml::from_str(&text).expect("the name of a model");
+            let text = serde_json::json!({ "model": model.key() });
+            let config: LidarConfig = serde_json::from_value(text).expect("the name of a model");
             assert_eq!(config.model, model);
             assert_eq!(
                 config.check("lidar").is_ok(),
@@ -110,7 +110,10 @@ mod tests {
             ..LidarConfig::default()
         };
         assert_eq!(
-            config.check("lidar").expect_err("not simulated").to_string(),
+            config
+                .check("lidar")
+                .expect_err("not simulated")
+                .to_string(),
             "setting lidar.model is hdl-32e: it must be vlp-32c or vlp-16"
         );
     }
