@@ -19,7 +19,7 @@ pub use fixed_point_reprojection::FixedPointReprojection;
 pub use imu_preintegration::ImuPreintegration;
 pub use lidar_edge::LidarEdge;
 pub use lidar_plane::LidarPlane;
-pub(crate) use moving_camera::entry;
+pub(crate) use moving_camera::{entry, stated_from_found};
 pub use moving_camera::{CameraCorrection, FrameMotion, MovingCamera};
 pub use moving_reprojection::MovingReprojection;
 pub use reprojection::{ObservingCamera, Reprojection};
