@@ -31,11 +31,11 @@
 //! ```
 
 /// The example of the README runs.
-#[cfg(all(doctest, any(feature = "velodyne", feature = "hesai")))]
+#[cfg(all(doctest, feature = "lidar"))]
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-#[cfg(any(feature = "velodyne", feature = "hesai"))]
+#[cfg(feature = "lidar")]
 pub mod any_lidar;
 #[cfg(any(feature = "xsens", feature = "microstrain"))]
 mod byte_stream;
@@ -46,7 +46,7 @@ mod error;
 #[cfg(feature = "hesai")]
 pub mod hesai;
 mod imu_family;
-#[cfg(any(feature = "velodyne", feature = "hesai"))]
+#[cfg(feature = "lidar")]
 pub mod lidar;
 #[cfg(feature = "microstrain")]
 pub mod microstrain;

@@ -15,7 +15,9 @@ use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
-use lsfb_drivers::velodyne::wire::{DataPacket, PositionPacket, PpsStatus, ReturnMode, identify};
+use lsfb_drivers::velodyne::wire::{
+    DataPacket, PositionPacket, PpsStatus, Returns, identify, returns_of_code,
+};
 use lsfb_drivers::velodyne::{
     DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
@@ -148,7 +150,7 @@ fn points_by_encoder(
     let mut raw = Vec::new();
     for (index, packet) in packets.iter().enumerate() {
         let packet = DataPacket::new(&packet.bytes).unwrap();
-        let mode = ReturnMode::from_code(packet.return_mode_code()).unwrap();
+        let mode = returns_of_code(packet.return_mode_code()).unwrap();
         let layout = PacketLayout::new(&packet, model, mode);
         encoder.extend(
             returns(&packet, &layout).map(|hit| (index, packet.azimuth_centideg(hit.block))),
@@ -183,7 +185,7 @@ fn running_counts(model: Model, packets: &[Packet]) -> Vec<usize> {
         let packet = DataPacket::new(&packet.bytes).unwrap();
         total += returns(
             &packet,
-            &PacketLayout::new(&packet, model, ReturnMode::Strongest),
+            &PacketLayout::new(&packet, model, Returns::Strongest),
         )
         .count();
         total
@@ -435,7 +437,7 @@ fn a_vlp16_that_claims_to_be_an_hdl32e_is_named() {
     );
     assert_eq!(decoder.finish(), None);
 
-    let model = ModelChoice::Force(Model::Vlp16, ReturnMode::Strongest);
+    let model = ModelChoice::Force(Model::Vlp16, Returns::Strongest);
     let forced = decode(
         DecoderConfig {
             model,
@@ -455,7 +457,7 @@ fn azimuths(packet: &DataPacket<Vec<u8>>) -> [u16; 12] {
     std::array::from_fn(|block| packet.azimuth_centideg(block))
 }
 
-fn count(packet: &DataPacket<Vec<u8>>, model: Model, mode: ReturnMode) -> usize {
+fn count(packet: &DataPacket<Vec<u8>>, model: Model, mode: Returns) -> usize {
     returns(packet, &PacketLayout::new(packet, model, mode)).count()
 }
 
@@ -479,7 +481,7 @@ fn single_real_packets_hold_what_was_read_by_hand() {
         (packet.distance_raw(0, 0), packet.reflectivity(0, 0)),
         (189, 11)
     );
-    assert_eq!(count(&packet, Model::Vlp32c, ReturnMode::Strongest), 380);
+    assert_eq!(count(&packet, Model::Vlp32c, Returns::Strongest), 380);
 
     let Some(bytes) = vector(name, "nebula_vlp32c_fovgap_pkt75.bin") else {
         return;
@@ -491,7 +493,7 @@ fn single_real_packets_hold_what_was_read_by_hand() {
         (azimuth[0], &azimuth[7..]),
         (8956, &[9095, 27017, 27037, 27057, 27078][..])
     );
-    let mut layout = PacketLayout::new(&packet, Model::Vlp32c, ReturnMode::Strongest);
+    let mut layout = PacketLayout::new(&packet, Model::Vlp32c, Returns::Strongest);
     assert_eq!(layout.gap(), Some((9095, 27017)));
     assert_eq!(returns(&packet, &layout).count(), 315);
     // The next packet of the recording starts 50 375 µs later: what follows the gap is timed back from it.
@@ -510,9 +512,9 @@ fn single_real_packets_hold_what_was_read_by_hand() {
         (azimuths(&packet)[0], &azimuths(&packet)[6..9]),
         (35871, &[35991, 11, 31][..])
     );
-    assert_eq!(count(&packet, Model::Vlp32c, ReturnMode::Strongest), 350);
+    assert_eq!(count(&packet, Model::Vlp32c, Returns::Strongest), 350);
     assert_eq!(
-        PacketLayout::new(&packet, Model::Vlp32c, ReturnMode::Strongest).gap(),
+        PacketLayout::new(&packet, Model::Vlp32c, Returns::Strongest).gap(),
         None
     );
 
@@ -569,7 +571,7 @@ fn single_real_packets_hold_what_was_read_by_hand() {
         (packet.distance_raw(0, 1), packet.reflectivity(0, 1)),
         (2537, 4)
     );
-    assert_eq!(count(&packet, Model::Hdl32e, ReturnMode::Strongest), 382);
+    assert_eq!(count(&packet, Model::Hdl32e, Returns::Strongest), 382);
     // Its repository expects point 0 at (-1.55048573, 1.43979204, -1.25482786) m.
     let config = DecoderConfig {
         optical_offset: OpticalOffset::Ignored,

@@ -20,7 +20,7 @@ use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_drivers::velodyne::model::{Model, Product};
-use lsfb_drivers::velodyne::wire::{DataPacket, ReturnMode};
+use lsfb_drivers::velodyne::wire::{DataPacket, Returns, returns_of_code};
 use lsfb_drivers::velodyne::{
     Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
@@ -121,7 +121,7 @@ fn in_gap(packets: &[Packet]) -> Vec<bool> {
     for packet in packets {
         let packet = DataPacket::new(&packet.bytes).unwrap();
         let model = Product::from_code(packet.product_code()).model().unwrap();
-        let mode = ReturnMode::from_code(packet.return_mode_code()).unwrap();
+        let mode = returns_of_code(packet.return_mode_code()).unwrap();
         let layout = PacketLayout::new(&packet, model, mode);
         let count = returns(&packet, &layout).count();
         in_gap.extend(vec![layout.gap().is_some(); count]);
@@ -260,7 +260,7 @@ fn the_single_packet_of_an_old_sensor_is_read_where_the_model_is_forced() {
     let packets = read(&mut PcapSource::open(&path, &[2368]).unwrap());
     assert_eq!(packets.len(), 1);
     let mut decoder = Decoder::new(DecoderConfig {
-        model: ModelChoice::Force(Model::Vlp16, ReturnMode::Strongest),
+        model: ModelChoice::Force(Model::Vlp16, Returns::Strongest),
         ..DecoderConfig::default()
     });
     assert_eq!(decoder.push(&packets[0]), Ok(None));

@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_drivers::velodyne::model::Model;
-use lsfb_drivers::velodyne::wire::{DATA_PACKET_LEN, DataPacket, ReturnMode, identify};
+use lsfb_drivers::velodyne::wire::{DATA_PACKET_LEN, DataPacket, Returns, identify};
 use lsfb_drivers::velodyne::{
     Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
@@ -40,7 +40,7 @@ fuzz_target!(|data: &[u8]| {
         optical_offset,
         cut_azimuth_centideg: u16::from(data.first().copied().unwrap_or(0)) * 141,
     };
-    let forced = ModelChoice::Force(Model::Vlp16, ReturnMode::Dual);
+    let forced = ModelChoice::Force(Model::Vlp16, Returns::Dual);
     let mut decoders = [
         Decoder::new(config(ModelChoice::FromPackets, OpticalOffset::Ignored)),
         Decoder::new(config(forced, OpticalOffset::Applied)),
@@ -50,7 +50,7 @@ fuzz_target!(|data: &[u8]| {
         let bytes = packet(given, number);
         if let Ok(packet) = DataPacket::new(&bytes[..]) {
             for model in Model::ALL {
-                for mode in [ReturnMode::Strongest, ReturnMode::Last, ReturnMode::Dual] {
+                for mode in [Returns::Strongest, Returns::Last, Returns::Dual] {
                     let layout = PacketLayout::new(&packet, model, mode);
                     for hit in returns(&packet, &layout) {
                         assert!(hit.range_raw > 0 && hit.azimuth_centideg.is_finite());

@@ -3,7 +3,7 @@
 use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{
-    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, Returns,
 };
 
 /// Data packet `n`.
@@ -11,13 +11,12 @@ pub fn data_packet(n: u64) -> Vec<u8> {
     let mut packet = DataPacket::init(
         vec![0; DATA_PACKET_LEN],
         Product::Vlp32c,
-        ReturnMode::Strongest,
+        Returns::Strongest,
     )
     .expect("length");
     let start_ns = start_ns(n);
     for block in 0..12 {
-        let time_ns =
-            start_ns + u64::from(Model::Vlp32c.block_time_ns(ReturnMode::Strongest, block));
+        let time_ns = start_ns + u64::from(Model::Vlp32c.block_time_ns(Returns::Strongest, block));
         packet.set_azimuth_centideg(block, (time_ns * 36 / 100_000 % 36_000) as u16);
         for channel in 0..32 {
             packet.set_return(block, channel, 2000, n as u8);
@@ -50,5 +49,5 @@ pub fn position_packet(toh_us: u32) -> Vec<u8> {
 }
 
 fn start_ns(n: u64) -> u64 {
-    n * u64::from(Model::Vlp32c.packet_period_ns(ReturnMode::Strongest))
+    n * u64::from(Model::Vlp32c.packet_period_ns(Returns::Strongest))
 }

@@ -27,11 +27,15 @@ fn closed(text: &str) -> Option<(&str, &str)> {
 fn on_the_left(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     let excerpt = |at: usize| text[at..].lines().next().unwrap_or_default().to_owned();
-    for name in ["so3::exp(", "Se3::exp("] {
+    for name in ["so3::exp(", "Se3::exp(", "Se3::new("] {
         for (at, _) in text.match_indices(name) {
-            let Some((_, behind)) = closed(&text[at + name.len()..]) else {
+            let Some((inside, behind)) = closed(&text[at + name.len()..]) else {
                 continue;
             };
+            // A pose is an exponential where its rotation is one.
+            if name == "Se3::new(" && !inside.trim_start().starts_with("so3::exp(") {
+                continue;
+            }
             let first = !text[..at].trim_end().ends_with('*');
             let factor = behind.trim_start();
             if first && factor.starts_with('*') && !factor.starts_with("*=") {
@@ -101,6 +105,8 @@ fn either_side_is_told_apart() {
     for left in [
         "x = so3::exp(&(step * 2.0)) * b_from_a;",
         "Se3::exp(&step.fixed_rows::<6>(0).into())\n    * pose",
+        "Se3::new(so3::exp(&turn), shift) * camera_from_rig",
+        "Se3::new(\n    so3::exp(&turn),\n    shift,\n) * camera_from_rig",
         "let off = (found * start.inverse()).log();",
         "so3::log(&(found.rotation * start.rotation.inverse()))",
     ] {
@@ -110,6 +116,8 @@ fn either_side_is_told_apart() {
         "x = b_from_a * so3::exp(&step);",
         "start * so3::exp(&a) * so3::exp(&b)",
         "turn *= so3::exp(&step);",
+        "rig_from_camera * Se3::new(so3::exp(&turn), shift)",
+        "Se3::new(start.rotation * so3::exp(&turn), shift) * rig_from_camera",
         "let off = (start.inverse() * found).log();",
         "so3::log(&(start.rotation.inverse() * found.rotation))",
         "so3::log(&(measured.inverse() * b_from_a.inverse()))",

@@ -5,7 +5,7 @@
 
 use lsfb_geometry::camera::{Lens, LensModel, MAX_PARAMETERS};
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3, so3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 use lsfb_types::median;
 use nalgebra::{SMatrix, SVector};
 

@@ -10,7 +10,7 @@
 //! the edge is if the pixel's width is known. By values at the pixels' centres any steepness fits there, and undamped steps do not end.
 
 use lsfb_geometry::Vector2;
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 use lsfb_types::Image;
 use nalgebra::SVector;
 

@@ -86,6 +86,21 @@ pub enum Format {
     Basalt,
 }
 
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 4] = [Self::Kalibr, Self::Ros, Self::Colmap, Self::Basalt];
+
+    /// Its name on the command line.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Kalibr => "kalibr",
+            Self::Ros => "ros",
+            Self::Colmap => "colmap",
+            Self::Basalt => "basalt",
+        }
+    }
+}
+
 /// One file of a format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExportedFile {

@@ -2,7 +2,7 @@
 //! instability `B` and the random walk `K` (IEEE 952-1997, annex C).
 
 use lsfb_geometry::Vector3;
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 
 use super::allan::Cluster;
 

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use lsfb_geometry::{Vector2, Vector3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use nalgebra::Rotation3;
 
 use super::LidarCameraConfig;

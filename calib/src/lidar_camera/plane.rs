@@ -2,8 +2,8 @@
 //! have in common as an error of its own.
 
 use lsfb_geometry::{Matrix3, Vector3};
-use lsfb_perception::gauss_newton::NormalEquations;
 use lsfb_perception::lidar::PointSums;
+use lsfb_solver::gauss_newton::NormalEquations;
 
 /// Noise of the direction of a ray, radians.
 const POINTING_RAD: f64 = 5e-4;

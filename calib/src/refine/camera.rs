@@ -15,8 +15,8 @@ use super::refusal::Refusal;
 use super::report::{Component, Evidence, NAMES, Refinement, Transfer};
 use super::scan::Scan;
 use crate::coverage::COVERAGE_CELLS;
+use crate::overlapping_planes::OverlappingPlanes;
 use crate::overlay::Picture;
-use crate::plane_map::PlaneMap;
 use crate::recorded::{expect_size, seconds, unreadable};
 use crate::{Error, Overlay, TransformEdge};
 
@@ -45,7 +45,7 @@ pub(super) struct CameraRefinement<'a> {
     /// The camera's pose on the LiDAR as the rig has it.
     pub start: Se3,
     pub path: &'a LidarPath<'a>,
-    pub place: &'a PlaneMap,
+    pub place: &'a OverlappingPlanes,
     pub scans: &'a [Scan],
     pub config: &'a RefineConfig,
 }

@@ -6,7 +6,7 @@ use lsfb_perception::image::{Gray, Patch, PatchSearch, corners};
 use nalgebra::Matrix2;
 use rayon::prelude::*;
 
-use crate::plane_map::PlaneMap;
+use crate::overlapping_planes::OverlappingPlanes;
 
 /// Share of the brightness's variance that may be left.
 const MOST_LEFT: f64 = 0.25;
@@ -72,7 +72,7 @@ impl Keyframe {
 pub(super) fn landmarks(
     frames: &[Keyframe],
     camera_from_lidar: &Se3,
-    place: &PlaneMap,
+    place: &OverlappingPlanes,
     reach: Reach,
 ) -> Vec<Landmark> {
     let camera_from_world: Vec<Se3> = frames
@@ -104,7 +104,7 @@ pub(super) fn landmarks(
 fn landmark(
     frames: &[Keyframe],
     camera_from_world: &[Se3],
-    place: &PlaneMap,
+    place: &OverlappingPlanes,
     reach: Reach,
     anchor: usize,
     corner: &Vector2<f64>,

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::predicted_rotation::PredictedRotation;
 use super::scan::Scan;
-use crate::plane_map::{PlaneMap, PlaneMapBuilder, register_to_planes};
+use crate::overlapping_planes::{OverlappingPlanes, OverlappingPlanesBuilder, register_to_planes};
 
 /// Times that the place is made again of all scans.
 const ROUNDS: usize = 4;
@@ -45,7 +45,7 @@ pub(super) fn follow<'a>(
     rig: &Rig,
     gyro: Option<&'a IntegratedGyro>,
     progress: ProgressFn,
-) -> Result<Option<(LidarPath<'a>, PlaneMap)>, Stopped> {
+) -> Result<Option<(LidarPath<'a>, OverlappingPlanes)>, Stopped> {
     let Some(lidar) = rig.lidar() else {
         return Ok(None);
     };
@@ -88,7 +88,7 @@ fn register_in_sequence<'a>(
     turning: PredictedRotation<'a>,
     progress: ProgressFn,
 ) -> Result<Option<LidarPath<'a>>, Stopped> {
-    let mut surfaces = PlaneMapBuilder::default();
+    let mut surfaces = OverlappingPlanesBuilder::default();
     let mut path = LidarPath {
         times_s: Vec::new(),
         world_from_lidar: Vec::new(),
@@ -241,7 +241,7 @@ impl LidarPath<'_> {
             let all = path.returns_at(scan, scan.middle_s);
             all.into_iter().step_by(every).collect()
         };
-        let mut surfaces = PlaneMapBuilder::default();
+        let mut surfaces = OverlappingPlanesBuilder::default();
         for (scan, pose) in scans.iter().zip(&self.world_from_lidar).skip(again) {
             surfaces.add(thin(scan, self).into_iter().map(|p| *pose * p));
         }
@@ -320,8 +320,8 @@ impl LidarPath<'_> {
             .collect()
     }
 
-    fn place(&self, still: &[Vec<Vector3<f64>>]) -> PlaneMap {
-        let mut surfaces = PlaneMapBuilder::default();
+    fn place(&self, still: &[Vec<Vector3<f64>>]) -> OverlappingPlanes {
+        let mut surfaces = OverlappingPlanesBuilder::default();
         for (scan, pose) in still.iter().zip(&self.world_from_lidar) {
             surfaces.add(scan.iter().map(|p| *pose * *p));
         }

@@ -3,7 +3,7 @@
 //! | step | file |
 //! | --- | --- |
 //! | the LiDAR's path, by its own scans and the gyroscope | `scan.rs`, `lidar_path.rs`, `predicted_rotation.rs` |
-//! | planes of the place | `../plane_map.rs` |
+//! | planes of the place | `../overlapping_planes.rs` |
 //! | corners on planes, found in images from far apart | `landmarks.rs` |
 //! | the pose at which both agree (Eq. 4) | `adjustment/`, `residuals.rs`, `noise.rs` |
 //! | what it is worth | `estimate.rs` |

@@ -2,7 +2,7 @@
 
 use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, Vector6, so3};
-use lsfb_perception::gauss_newton::{Next, NormalEquations, minimise};
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 use nalgebra::Matrix3x6;
 
 /// Scans that are compared with the gyroscope are so many apart.

@@ -3,7 +3,7 @@
 
 use lsfb_geometry::{Se3, Vector3};
 
-use crate::plane_map::{PlaneMapBuilder, register_to_planes};
+use crate::overlapping_planes::{OverlappingPlanesBuilder, register_to_planes};
 
 /// Returns of the second scan that are used at most.
 const MOST_RETURNS: usize = 5000;
@@ -32,7 +32,7 @@ pub(super) fn velocity(first: &[Moved], second: &[Moved]) -> Option<Vector3<f64>
     let mut speed = Vector3::zeros();
     for _ in 0..ROUNDS {
         let still = |point: &Moved| point.place + speed * point.after_s;
-        let mut planes = PlaneMapBuilder::default();
+        let mut planes = OverlappingPlanesBuilder::default();
         planes.add(first.iter().map(still));
         let second: Vec<Vector3<f64>> = second.iter().step_by(every).map(still).collect();
         let start = Se3::identity();

@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, RigCamera, UnitQuaternion, Vector3, so3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use lsfb_perception::image::{Pair, relative_rotation};
 use lsfb_perception::statistics::median;
+use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use nalgebra::{SMatrix, SVector, Vector1};
 use rayon::prelude::*;
 

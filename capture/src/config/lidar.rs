@@ -7,7 +7,6 @@ use lsfb_drivers::any_lidar::{Model, Settings};
 use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::velodyne::VelodyneConfig;
 use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
-use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_geometry::MAIN_LIDAR;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
@@ -27,7 +26,7 @@ pub struct LidarNetConfig {
     pub data: SocketAddr,
     /// Address for position packets; port 0 takes a free one.
     pub position: SocketAddr,
-    /// The sensor it must be: `vlp-32c`, `vlp-16`, `hdl-32e`, `xt32`, `pandar64` or `qt64`; `any` takes what the packets say.
+    /// The sensor it must be, by its name ([`Model::key`]); `any` takes what the packets say.
     pub model: String,
     /// The packets are of `model` with these returns, whatever they say themselves: old firmware of Velodyne sensors lies.
     pub force_returns: Option<Returns>,
@@ -96,13 +95,7 @@ lsfb_types::bounds! {
 impl LidarSettingsConfig {
     /// The changes, one by one.
     pub(crate) fn changes(&self, data_port: u16, position_port: u16) -> Vec<Setting> {
-        let returns = self.returns.map(|returns| {
-            Setting::Returns(match returns {
-                Returns::Strongest => ReturnMode::Strongest,
-                Returns::Last => ReturnMode::Last,
-                Returns::Dual => ReturnMode::Dual,
-            })
-        });
+        let returns = self.returns.map(Setting::Returns);
         let field_of_view = self
             .field_of_view_deg
             .map(|[start_deg, end_deg]| Setting::FieldOfView(FieldOfView { start_deg, end_deg }));
@@ -178,11 +171,8 @@ impl LidarNetConfig {
         let model = match self.model.as_str() {
             ANY => None,
             name => Some(Model::from_key(name).ok_or_else(|| {
-                let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
-                refused(format!(
-                    "model = {name:?} is none of {ANY}, {}",
-                    known.join(", ")
-                ))
+                let known = Model::keys();
+                refused(format!("model = {name:?} is none of {ANY}, {known}"))
             })?),
         };
         if self.force_returns.is_some() && model.is_none() {

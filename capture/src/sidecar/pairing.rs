@@ -133,11 +133,7 @@ impl PairingFolder {
             return Err(io_error(&path, io::Error::other(why)));
         }
         let key = PairingToken::random()?;
-        let units = match units {
-            PushUnits::Standard => STANDARD,
-            PushUnits::Ios => IOS,
-        };
-        let text = format!("{} {units}", to_hex(&Sha256::digest(key.0)));
+        let text = format!("{} {}", to_hex(&Sha256::digest(key.0)), units.key());
         replace(&path, text.as_bytes())?;
         Ok(key)
     }
@@ -149,11 +145,8 @@ impl PairingFolder {
         let expected: [u8; 32] = from_hex(known_by)?;
         let found: [u8; 32] = Sha256::digest(key).into();
         let is_known: bool = expected.ct_eq(&found).into();
-        match units {
-            STANDARD if is_known => Some(PushUnits::Standard),
-            IOS if is_known => Some(PushUnits::Ios),
-            _ => None,
-        }
+        let mut all = PushUnits::ALL.into_iter();
+        all.find(|known| is_known && known.key() == units)
     }
 
     fn pusher_path(&self, name: &str) -> PathBuf {
@@ -256,9 +249,6 @@ impl PairingFolder {
     }
 }
 
-/// Units of an app that pushes, as they are kept.
-const STANDARD: &str = "standard";
-const IOS: &str = "ios";
 /// Ending of a file that is not whole yet; no device has a dot in its name.
 const UNFINISHED: &str = ".part";
 

@@ -7,7 +7,7 @@ use lsfb_capture::health::{DeviceHealth, Level, Snapshot, SyncState};
 use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_drivers::transport::http::{HttpListener, HttpRequest};
 use lsfb_drivers::velodyne::settings::{SensorInfo, SensorStatus, Settings, Switch};
-use lsfb_drivers::velodyne::wire::{PpsStatus, ReturnMode};
+use lsfb_drivers::velodyne::wire::{PpsStatus, Returns};
 use lsfb_drivers::velodyne::{SensorWeb, SettingsHandling};
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
@@ -293,7 +293,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
     let config = DevicesConfig::read(&list).unwrap();
     Session::open(&config).unwrap();
     let set = *page.sensor.lock().unwrap().settings();
-    assert_eq!((set.rpm, set.returns), (1200, ReturnMode::Dual));
+    assert_eq!((set.rpm, set.returns), (1200, Returns::Dual));
     let sector = set.field_of_view;
     assert_eq!((sector.start_deg, sector.end_deg), (270, 90));
     assert_eq!(set.phase_lock.lock, Switch::On);

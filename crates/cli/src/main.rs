@@ -17,6 +17,7 @@ mod full_disk;
 mod judged;
 mod live;
 mod memory;
+mod one_of;
 mod outcome;
 mod phones;
 mod progress;

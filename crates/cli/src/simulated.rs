@@ -14,12 +14,13 @@ use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_geometry::{MAIN_IMU, Rig};
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, LidarModel, Pace, ReturnMode, ScanEndpoints, SimConfig,
-    SimSession, SimulatedImu, Simulation,
+    Clocked, Emitted, FlowControl, LidarModel, Pace, Returns, SIMULATED_LIDARS, ScanEndpoints,
+    SimConfig, SimSession, SimulatedImu, Simulation,
 };
 use lsfb_types::Stopped;
 
 use crate::context::Context;
+use crate::one_of::one_of;
 use crate::phones;
 
 /// How long glasses look for a recorder in this process.
@@ -45,14 +46,14 @@ pub struct Endpoints {
 /// What the simulated backpack carries, where it is not as configured.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Equipment {
-    /// The LiDAR: vlp-32c or vlp-16.
-    #[arg(long, value_name = "MODEL", value_parser = lidar_model)]
+    /// The LiDAR.
+    #[arg(long, value_name = "MODEL", value_parser = one_of(&SIMULATED_LIDARS, LidarModel::key))]
     lidar_model: Option<LidarModel>,
-    /// Return mode of the LiDAR: strongest, last or dual.
-    #[arg(long, value_name = "MODE", value_parser = lidar_returns)]
-    returns: Option<ReturnMode>,
-    /// Protocol of the IMU: xsens or microstrain.
-    #[arg(long, value_name = "FAMILY", value_parser = imu_family)]
+    /// Return mode of the LiDAR.
+    #[arg(long, value_name = "MODE", value_parser = one_of(&Returns::ALL, Returns::key))]
+    returns: Option<Returns>,
+    /// Protocol of the IMU.
+    #[arg(long, value_name = "FAMILY", value_parser = one_of(&SimulatedImu::ALL, |unit| unit.family().key()))]
     imu_family: Option<SimulatedImu>,
 }
 
@@ -64,22 +65,6 @@ impl Equipment {
         lidar.returns = self.returns.unwrap_or(lidar.returns);
         config.scan_imu_family = self.imu_family.unwrap_or(config.scan_imu_family);
     }
-}
-
-fn lidar_model(name: &str) -> Result<LidarModel, String> {
-    let found = LidarModel::ALL.into_iter().find(|m| m.name() == name);
-    found.ok_or_else(|| "expected vlp-32c or vlp-16".to_owned())
-}
-
-fn lidar_returns(name: &str) -> Result<ReturnMode, String> {
-    let found = ReturnMode::ALL.into_iter().find(|r| r.name() == name);
-    found.ok_or_else(|| "expected strongest, last or dual".to_owned())
-}
-
-fn imu_family(name: &str) -> Result<SimulatedImu, String> {
-    let mut known = SimulatedImu::ALL.into_iter();
-    let found = known.find(|unit| unit.family().key() == name);
-    found.ok_or_else(|| "expected xsens or microstrain".to_owned())
 }
 
 /// Names of the files of a simulated session in its folder.

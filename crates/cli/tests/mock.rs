@@ -183,6 +183,11 @@ fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
             0,
         ),
         ("lidar/mrpt/sample_velodyne_vlp16_gps.pcap", 2, 57),
+        (
+            "lidar/nebula_hesai/xt32/1673400677802009732/1673400677802009732_0.db3",
+            1,
+            0,
+        ),
     ] {
         let source = data.join(below);
         let folder = tempfile::tempdir().expect("folder");

@@ -26,6 +26,21 @@ pub enum AlignmentMode {
 }
 
 impl AlignmentMode {
+    /// Those that can be asked for by name: all but [`AlignmentMode::Given`].
+    pub const NAMED: [Self; 5] = [Self::None, Self::Se3, Self::Sim3, Self::Yaw, Self::Origin];
+
+    /// Its name on the command line.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Se3 => "se3",
+            Self::Sim3 => "sim3",
+            Self::Yaw => "yaw",
+            Self::Origin => "origin",
+            Self::Given(_) => "given",
+        }
+    }
+
     /// As a reader knows it.
     pub fn label(self) -> &'static str {
         match self {

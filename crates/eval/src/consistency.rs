@@ -4,7 +4,8 @@
 //! which brings positions closest leaves orientations open where a walk is short or straight: a millimetre over 30 cm is a fifth of a
 //! degree, which is no error of the estimate.
 
-use lsfb_geometry::{Matrix6, Se3, UnitQuaternion, Vector3, Vector6};
+use lsfb_geometry::{Matrix6, Se3, UnitQuaternion, Vector3};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use nalgebra::Quaternion;
 use serde::Serialize;
 
@@ -60,8 +61,8 @@ pub(crate) fn consistency(
 }
 
 /// Steps at most, each of which takes away most of what is left.
-const STEPS: usize = 10;
-/// A step that changes the sum of all squares by less is the last.
+const STEPS: u32 = 10;
+/// A step that is shorter, in radians and metres, is the last.
 const LEAST_STEP: f64 = 1e-9;
 
 /// What moves the aligned estimate so that the sum of all its squared errors is least by their covariances, by Gauss–Newton. `None` where the
@@ -71,43 +72,37 @@ fn best_world(
     covariances: &[Matrix6<f64>],
     mode: AlignmentMode,
 ) -> Option<Se3> {
-    let (mut world, held): (Se3, &[usize]) = match mode {
+    let (start, held): (Se3, &[usize]) = match mode {
         AlignmentMode::None | AlignmentMode::Given(_) | AlignmentMode::Origin => return None,
         AlignmentMode::Se3 | AlignmentMode::Sim3 => (by_orientations(pairs)?, &[]),
         // Both know which way is up.
         AlignmentMode::Yaw => (Se3::identity(), &[0, 1]),
     };
-    for _ in 0..STEPS {
-        let mut normal = Matrix6::zeros();
-        let mut gradient = Vector6::zeros();
+    let terms = |world: &Se3| {
+        let mut terms = NormalEquations::<6>::default();
         for (pair, covariance) in pairs.iter().zip(covariances) {
             let Some(covariance) = covariance.cholesky() else {
                 continue;
             };
-            let estimate = world * pair.estimate.world_from_rig;
+            let estimate = *world * pair.estimate.world_from_rig;
             let error = estimate.local(&pair.truth.world_from_rig);
             // What moves the world on its right moves the estimate on its own by this.
             let moved = pair.estimate.world_from_rig.inverse().adjoint();
             let weighed = covariance.solve(&moved);
-            normal += moved.transpose() * weighed;
-            gradient += weighed.transpose() * error;
+            terms.information += moved.transpose() * weighed;
+            terms.gradient -= weighed.transpose() * error;
         }
         for &k in held {
-            normal.row_mut(k).fill(0.0);
-            normal.column_mut(k).fill(0.0);
-            normal[(k, k)] = 1.0;
-            gradient[k] = 0.0;
+            terms.information.row_mut(k).fill(0.0);
+            terms.information.column_mut(k).fill(0.0);
+            terms.information[(k, k)] = 1.0;
+            terms.gradient[k] = 0.0;
         }
-        let step = normal.cholesky()?.solve(&gradient);
-        if !step.iter().all(|s| s.is_finite()) {
-            return None;
-        }
-        world = world.retract(&step);
-        if step.dot(&gradient) < LEAST_STEP {
-            break;
-        }
-    }
-    Some(world)
+        Some(terms)
+    };
+    let world = minimise(start, STEPS, terms, until_shorter_than(LEAST_STEP))?.value;
+    let is_known = world.log().iter().all(|x| x.is_finite());
+    is_known.then_some(world)
 }
 
 /// The mean turn of the orientations, and what brings the middle of the positions there: positions on a line leave half a turn about it open.

@@ -59,7 +59,7 @@ pub use evaluation::{
     RpeConfig, RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
 };
 pub use read::{
-    Columns, Orientations, ReadOptions, StampUnit, TrajectoryFile, covariance_in_world, read_poses,
+    Columns, Orientations, ReadOptions, TrajectoryFile, covariance_in_world, read_poses,
     read_trajectory,
 };
 pub use recall::{Recall, Threshold};

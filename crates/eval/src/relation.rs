@@ -95,6 +95,26 @@ pub enum DeltaUnit {
 }
 
 impl DeltaUnit {
+    /// Every unit.
+    pub const ALL: [Self; 5] = [
+        Self::Frames,
+        Self::Metres,
+        Self::Seconds,
+        Self::Degrees,
+        Self::Radians,
+    ];
+
+    /// Its name on the command line.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Frames => "frames",
+            Self::Metres => "metres",
+            Self::Seconds => "seconds",
+            Self::Degrees => "degrees",
+            Self::Radians => "radians",
+        }
+    }
+
     /// As it stands behind a number.
     pub fn symbol(self) -> &'static str {
         match self {

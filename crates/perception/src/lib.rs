@@ -9,9 +9,7 @@
 //! | [`projection`] | how points move with the poses through which they are seen |
 //! | [`RelativePose`] | a measured transform between two poses, as a residual of the solver |
 //! | [`statistics`] | medians, and peaks between samples |
-//! | [`gauss_newton`] | least squares over a handful of unknowns |
 
-pub mod gauss_newton;
 pub mod image;
 pub mod lidar;
 pub mod projection;

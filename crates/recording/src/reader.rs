@@ -117,17 +117,13 @@ impl Recording {
     /// Until when images, scans or inertial samples were measured, by the last chunk that has any: right to the length of a
     /// chunk, and fast whatever the size of the file. `None` where there are none.
     pub fn end_time(&self) -> Result<Option<Timestamp>, Error> {
-        let measured = [
-            message::IMAGE,
-            message::IMU,
-            message::POINT_CLOUD,
-            message::LIDAR_PACKETS,
-            message::VELODYNE_SCAN,
-        ];
+        let samples = [message::IMAGE, message::IMU, message::POINT_CLOUD];
         let schemas = &self.index.schemas;
         let is_measured = |schema_id: &u16| {
             let name = schemas.get(schema_id).map(|s| s.name.as_str());
-            measured.iter().any(|m| Some(m.name) == name)
+            name.is_some_and(|name| {
+                samples.iter().any(|s| s.name == name) || message::holds_lidar_packets(name)
+            })
         };
         let channels = self.index.channels.values();
         let channels: Vec<u16> = channels

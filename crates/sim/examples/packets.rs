@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use lsfb_drivers::transport::save::{Encapsulation, PcapWriter};
-use lsfb_sim::{Device, LidarModel, Place, ReturnMode, RigSim, SimConfig, Simulation};
+use lsfb_sim::{Device, LidarModel, Place, Returns, RigSim, SimConfig, Simulation};
 use lsfb_types::{Packet, no_progress};
 use serde_json::json;
 
@@ -25,14 +25,10 @@ fn main() -> Result<(), Failure> {
     std::fs::create_dir_all(folder)?;
     let mut streams = Vec::new();
     for (name, model, returns) in [
-        (
-            "vlp32c-strongest",
-            LidarModel::Vlp32c,
-            ReturnMode::Strongest,
-        ),
-        ("vlp32c-dual", LidarModel::Vlp32c, ReturnMode::Dual),
-        ("vlp16-strongest", LidarModel::Vlp16, ReturnMode::Strongest),
-        ("vlp16-dual", LidarModel::Vlp16, ReturnMode::Dual),
+        ("vlp32c-strongest", LidarModel::Vlp32c, Returns::Strongest),
+        ("vlp32c-dual", LidarModel::Vlp32c, Returns::Dual),
+        ("vlp16-strongest", LidarModel::Vlp16, Returns::Strongest),
+        ("vlp16-dual", LidarModel::Vlp16, Returns::Dual),
     ] {
         let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
         (config.texel_m, config.people) = (0.05, false);
@@ -47,7 +43,7 @@ fn main() -> Result<(), Failure> {
         streams.push(json!({
             "name": name,
             "model": model,
-            "dual": returns == ReturnMode::Dual,
+            "dual": returns == Returns::Dual,
             "range_noise_m": config.lidar.range_noise_m,
             "divergence_rad": config.lidar.divergence_rad,
             "separation_m": config.lidar.separation_m,

@@ -70,8 +70,8 @@ pub use ambient::{
 pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
     BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, LensKind, LidarConfig,
-    LidarModel, LightConfig, Look, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
-    SimulatedImu, WalkConfig, WifiConfig,
+    LightConfig, Look, MagneticConfig, NmeaSentence, Place, PulseSource, SIMULATED_LIDARS,
+    SimConfig, SimulatedImu, WalkConfig, WifiConfig,
 };
 pub use datum::{DatumConfig, Geodetic};
 pub use device::{
@@ -79,7 +79,8 @@ pub use device::{
     ScanEndpoints, SessionReport, SimSession, StopHandle, Turns, WalkEmission,
 };
 pub use error::Error;
-pub use lsfb_drivers::velodyne::wire::ReturnMode;
+pub use lsfb_drivers::lidar::Returns;
+pub use lsfb_drivers::velodyne::Model as LidarModel;
 pub use marks::Marks;
 pub use place::{CalibrationBoard, TAG_M};
 pub use sensor::camera::CameraSim;

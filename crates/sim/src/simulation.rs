@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::lidar::Returns;
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Echo, Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
@@ -439,10 +439,10 @@ impl RigSim {
                 let second = &cycle.second_returns[channel];
                 let other = second.range_count != first.range_count;
                 let kind = match lidar.return_mode() {
-                    ReturnMode::Strongest => Echo::Strongest,
-                    ReturnMode::Last => Echo::Last,
-                    ReturnMode::Dual if other => Echo::Last,
-                    ReturnMode::Dual => Echo::Both,
+                    Returns::Strongest => Echo::Strongest,
+                    Returns::Last => Echo::Last,
+                    Returns::Dual if other => Echo::Last,
+                    Returns::Dual => Echo::Both,
                 };
                 for (echo, kind, is_sent) in [(first, kind, true), (second, Echo::Strongest, other)]
                 {

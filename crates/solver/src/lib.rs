@@ -12,6 +12,7 @@ mod dogleg;
 mod error;
 mod evaluation;
 mod factorization;
+pub mod gauss_newton;
 mod incremental;
 mod influence;
 mod jacobian_check;

@@ -2,7 +2,7 @@
 //! [`Bounds`] of settings, and what the [`median`] of some numbers is.
 //!
 //! No dependency, no logic beyond exact integer time, medians, and how verdicts are put into words. Vectors are plain arrays here;
-//! `lsfb-geometry` gives them algebra. With the feature `serde`, verdicts stand in JSON.
+//! `lsfb-geometry` gives them algebra. With the feature `serde`, verdicts and units stand in JSON.
 //!
 //! Samples carry no time of their own: a decoder knows only device ticks. [`Stamped`] adds the three stamps
 //! (device, arrival, synchronized) that the recording keeps side by side and never overwrites.
@@ -11,6 +11,7 @@ mod bounds;
 mod packet;
 mod progress;
 mod sample;
+mod stamp_unit;
 mod statistics;
 mod timestamp;
 mod verdict;
@@ -19,6 +20,7 @@ pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
 pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
+pub use stamp_unit::StampUnit;
 pub use statistics::{median, quantile};
 pub use timestamp::Timestamp;
 pub use verdict::{Finding, Judgement, Limit, Verdict};

@@ -1,7 +1,8 @@
 //! One decoder for whatever LiDAR sends.
 //!
 //! A new LiDAR is a folder like `hesai/` and a line in the list at the end of `lidars!`. Its module offers the same names as
-//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `recognise`, `is_beside`, `device_ns` and `position`.
+//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `FACTORY_PORTS`, `recognise`, `is_beside`, `device_ns` and
+//! `position`.
 //!
 //! ```
 //! use lsfb_drivers::any_lidar::{Decoder, Settings};
@@ -224,6 +225,20 @@ macro_rules! lidars {
             false
         }
 
+        /// UDP ports to which LiDARs send unless told otherwise, each once.
+        pub fn factory_ports() -> Vec<u16> {
+            let mut ports = Vec::new();
+            $(
+                #[cfg(feature = $feature)]
+                for port in crate::$module::FACTORY_PORTS {
+                    if !ports.contains(&port) {
+                        ports.push(port);
+                    }
+                }
+            )+
+            ports
+        }
+
         /// Time of a data packet past the sensor's hour, nanoseconds; `None` where it is no data packet of a known LiDAR.
         pub fn device_ns(bytes: &[u8]) -> Option<i64> {
             $(
@@ -269,6 +284,11 @@ pub fn whose(bytes: &[u8]) -> Option<&'static str> {
     looks_like(bytes).or_else(|| maker(bytes))
 }
 
+/// Whether a datagram is one beside the data, whichever LiDAR's: about its clock, or recorded and not read.
+pub fn is_beside_data(bytes: &[u8]) -> bool {
+    is_beside(bytes) || any_position(bytes, Timestamp::default()).is_some()
+}
+
 /// Whether a datagram is one that a LiDAR sends, by its content and not by its length alone.
 pub fn is_of_a_lidar(bytes: &[u8]) -> bool {
     device_ns(bytes).is_some()
@@ -280,6 +300,12 @@ impl Model {
     /// Its name in settings: `vlp-32c`, `xt32`.
     pub fn key(self) -> String {
         self.to_string().to_lowercase().replace(' ', "-")
+    }
+
+    /// The names of all, as a message lists them.
+    pub fn keys() -> String {
+        let keys: Vec<String> = Self::all().into_iter().map(Self::key).collect();
+        keys.join(", ")
     }
 
     /// The model of that name; case, blanks and dashes do not matter.

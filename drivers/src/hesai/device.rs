@@ -2,6 +2,7 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
+use super::model::FACTORY_PORTS;
 use crate::Error;
 use crate::transport::udp::{UdpConfig, UdpSource};
 
@@ -22,9 +23,10 @@ impl Default for HesaiConfig {
     /// The factory ports on all interfaces, any sensor, two seconds of data.
     fn default() -> Self {
         let any = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+        let [data, gps] = FACTORY_PORTS;
         Self {
-            data_bind: SocketAddr::new(any, 2368),
-            gps_bind: SocketAddr::new(any, 10110),
+            data_bind: SocketAddr::new(any, data),
+            gps_bind: SocketAddr::new(any, gps),
             sensor: None,
             receive_buffer_bytes: 8 << 20,
         }

@@ -26,4 +26,4 @@ pub mod wire;
 
 pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, is_beside, position, recognise};
 pub use device::{HesaiConfig, open};
-pub use model::Model;
+pub use model::{FACTORY_PORTS, Model};

@@ -1,6 +1,9 @@
 //! Constants of the supported models: user manuals of the PandarXT-32, the Pandar64 and the PandarQT, their appendices on
 //! channels and on the absolute time of point cloud data.
 
+/// UDP ports of data packets and of those about the GPS input, as the sensor leaves the factory.
+pub const FACTORY_PORTS: [u16; 2] = [2368, 10110];
+
 /// A sensor this driver decodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Model {

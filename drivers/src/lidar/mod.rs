@@ -19,7 +19,7 @@ pub use scan_builder::TURN_CENTIDEG;
 pub(crate) use scan_builder::turn;
 
 /// Which echoes a sensor sends, as one asks for them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
     derive(serde::Serialize, serde::Deserialize),
@@ -27,6 +27,7 @@ pub(crate) use scan_builder::turn;
 )]
 pub enum Returns {
     /// The strongest of each shot.
+    #[default]
     Strongest,
     /// The last of each shot.
     Last,

@@ -40,6 +40,19 @@ pub enum PushUnits {
     Ios,
 }
 
+impl PushUnits {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Standard, Self::Ios];
+
+    /// Its name on the command line and where the app's pairing is kept.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Standard => "standard",
+            Self::Ios => "ios",
+        }
+    }
+}
+
 /// Which of the app's sensors a reading is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PushedKind {

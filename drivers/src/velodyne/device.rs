@@ -2,6 +2,7 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
+use super::model::FACTORY_PORTS;
 use crate::Error;
 use crate::transport::udp::{UdpConfig, UdpSource};
 
@@ -22,9 +23,10 @@ impl Default for VelodyneConfig {
     /// The factory ports on all interfaces, any sensor, four seconds of data.
     fn default() -> Self {
         let any = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+        let [data, position] = FACTORY_PORTS;
         Self {
-            data_bind: SocketAddr::new(any, 2368),
-            position_bind: SocketAddr::new(any, 8308),
+            data_bind: SocketAddr::new(any, data),
+            position_bind: SocketAddr::new(any, position),
             sensor: None,
             receive_buffer_bytes: 8 << 20,
         }

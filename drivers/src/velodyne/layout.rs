@@ -3,7 +3,7 @@
 use lsfb_types::Echo;
 
 use super::model::Model;
-use super::wire::{BLOCKS, CHANNELS, DataPacket, ReturnMode, TURN_CENTIDEG};
+use super::wire::{BLOCKS, CHANNELS, DataPacket, Returns, TURN_CENTIDEG};
 use crate::lidar::turn;
 
 /// A step of the rotor below this is never a gap, however slow it turns.
@@ -34,7 +34,7 @@ pub struct Return {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PacketLayout {
     pub(super) model: Model,
-    pub(super) mode: ReturnMode,
+    pub(super) mode: Returns,
     azimuth_centideg: [u16; BLOCKS],
     step_centideg: [f32; BLOCKS],
     time_ns: [i64; BLOCKS],
@@ -44,7 +44,7 @@ pub struct PacketLayout {
 
 impl PacketLayout {
     /// Reads the rotor's motion out of a packet's azimuths.
-    pub fn new<T: AsRef<[u8]>>(packet: &DataPacket<T>, model: Model, mode: ReturnMode) -> Self {
+    pub fn new<T: AsRef<[u8]>>(packet: &DataPacket<T>, model: Model, mode: Returns) -> Self {
         let stride = stride(mode);
         let groups = BLOCKS / stride;
         let mut azimuth_centideg = [0; BLOCKS];
@@ -217,16 +217,16 @@ fn group_returns<'a, T: AsRef<[u8]>>(
         };
         let first = group * stride;
         let candidates = match layout.mode {
-            ReturnMode::Strongest => [Some(place(first, Echo::Strongest)), None],
-            ReturnMode::Last => [Some(place(first, Echo::Last)), None],
+            Returns::Strongest => [Some(place(first, Echo::Strongest)), None],
+            Returns::Last => [Some(place(first, Echo::Last)), None],
             // Even block last, odd block strongest (VLP-32C 63-9325 p. 59).
-            ReturnMode::Dual
+            Returns::Dual
                 if packet.distance_raw(first, channel)
                     == packet.distance_raw(first + 1, channel) =>
             {
                 [Some(place(first, Echo::Both)), None]
             }
-            ReturnMode::Dual => [
+            Returns::Dual => [
                 Some(place(first, Echo::Last)),
                 Some(place(first + 1, Echo::Strongest)),
             ],
@@ -249,9 +249,9 @@ fn wrap(centideg: f32) -> f32 {
     }
 }
 
-pub(super) const fn stride(mode: ReturnMode) -> usize {
+pub(super) const fn stride(mode: Returns) -> usize {
     match mode {
-        ReturnMode::Dual => 2,
-        ReturnMode::Strongest | ReturnMode::Last => 1,
+        Returns::Dual => 2,
+        Returns::Strongest | Returns::Last => 1,
     }
 }

@@ -31,6 +31,6 @@ pub use decode::{
 };
 pub use device::{VelodyneConfig, open};
 pub use layout::{PacketLayout, Return, returns};
-pub use model::Model;
+pub use model::{FACTORY_PORTS, Model};
 pub use points::OpticalOffset;
 pub use web::{SensorPage, SensorWeb, SettingsHandling};

@@ -1,67 +1,45 @@
 //! Constants of the supported models, each with its manual page.
 
+use crate::lidar::Returns;
+
 /// Blocks in a data packet.
 pub const BLOCKS: usize = 12;
 /// Distances in a block.
 pub const CHANNELS: usize = 32;
-/// Which of two echoes a sensor sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Serialize, serde::Deserialize),
-    serde(rename_all = "kebab-case")
-)]
-pub enum ReturnMode {
-    /// The brightest echo.
-    #[default]
-    Strongest,
-    /// The farthest echo.
-    Last,
-    /// Both: even blocks hold the last, odd blocks the strongest.
-    Dual,
+/// UDP ports of data and of position packets, as the sensor leaves the factory.
+pub const FACTORY_PORTS: [u16; 2] = [2368, 8308];
+
+/// The byte on the wire for each return mode. In dual mode even blocks hold the last echo, odd blocks the strongest.
+pub const fn code_of_returns(returns: Returns) -> u8 {
+    match returns {
+        Returns::Strongest => 0x37,
+        Returns::Last => 0x38,
+        Returns::Dual => 0x39,
+    }
 }
 
-impl ReturnMode {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Strongest => "strongest",
-            Self::Last => "last",
-            Self::Dual => "dual",
-        }
-    }
-
-    /// The byte on the wire.
-    pub const fn code(self) -> u8 {
-        match self {
-            Self::Strongest => 0x37,
-            Self::Last => 0x38,
-            Self::Dual => 0x39,
-        }
-    }
-
-    /// `None` for a byte that names no mode.
-    pub const fn from_code(code: u8) -> Option<Self> {
-        match code {
-            0x37 => Some(Self::Strongest),
-            0x38 => Some(Self::Last),
-            0x39 => Some(Self::Dual),
-            _ => None,
-        }
+/// `None` for a byte that names no return mode.
+pub const fn returns_of_code(code: u8) -> Option<Returns> {
+    match code {
+        0x37 => Some(Returns::Strongest),
+        0x38 => Some(Returns::Last),
+        0x39 => Some(Returns::Dual),
+        _ => None,
     }
 }
 
 /// A sensor this driver decodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Model {
     /// Ultra Puck, 32 lasers, 4 mm.
+    #[cfg_attr(feature = "serde", serde(rename = "vlp-32c"))]
     Vlp32c,
     /// Puck, 16 lasers, 2 mm.
+    #[cfg_attr(feature = "serde", serde(rename = "vlp-16"))]
     Vlp16,
     /// 32 lasers, 2 mm.
+    #[cfg_attr(feature = "serde", serde(rename = "hdl-32e"))]
     Hdl32e,
 }
 
@@ -181,6 +159,15 @@ impl Model {
     /// All that are decoded.
     pub const ALL: [Self; 3] = [Self::Vlp32c, Self::Vlp16, Self::Hdl32e];
 
+    /// Its name in settings.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Vlp32c => "vlp-32c",
+            Self::Vlp16 => "vlp-16",
+            Self::Hdl32e => "hdl-32e",
+        }
+    }
+
     /// The model's constants.
     pub const fn table(self) -> &'static ModelTable {
         match self {
@@ -210,16 +197,16 @@ impl Model {
     }
 
     /// Time of a block's first firing after that of block 0, nanoseconds.
-    pub const fn block_time_ns(self, mode: ReturnMode, block: usize) -> u32 {
+    pub const fn block_time_ns(self, mode: Returns, block: usize) -> u32 {
         let steps = match mode {
-            ReturnMode::Dual => block / 2,
-            ReturnMode::Strongest | ReturnMode::Last => block,
+            Returns::Dual => block / 2,
+            Returns::Strongest | Returns::Last => block,
         };
         steps as u32 * self.table().block_period_ns
     }
 
     /// Time from one packet to the next while the sensor fires, nanoseconds.
-    pub const fn packet_period_ns(self, mode: ReturnMode) -> u32 {
+    pub const fn packet_period_ns(self, mode: Returns) -> u32 {
         self.block_time_ns(mode, BLOCKS)
     }
 }

@@ -1,7 +1,7 @@
 //! A point from its viewing rays.
 
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 

@@ -6,10 +6,10 @@
 
 use std::path::Path;
 
-use lsfb_geometry::{Matrix3, StampedPose, Trajectory, Vector3};
-use lsfb_perception::statistics::median;
-use nalgebra::{SMatrix, SVector};
+use lsfb_geometry::{StampedPose, Trajectory};
+use nalgebra::SMatrix;
 
+use super::sensor_axes::{Measured, as_it_is, fit, usually_left, wrong_axis};
 use super::walk::Walk;
 use crate::Error;
 use crate::preintegration::standard_gravity_m_s2;
@@ -23,16 +23,10 @@ const FEWEST: usize = 10;
 const LONGEST_PAUSE_SECS: f64 = 0.05;
 /// Error of a change of velocity that is expected, m/s: it limits what one counts.
 const CHANGE_SIGMA_M_S: f64 = 0.1;
-/// Standard deviation of the matrix about one, so loose that it only matters for an axis along which nothing is felt, and of a bias, m/s².
-const LOOSE: f64 = 1.0;
+/// Standard deviation of a bias, m/s².
 const BIAS_SIGMA_M_S2: f64 = 0.3;
-/// Changes farther off than so many medians count less.
-const ROBUST_MEDIANS: f64 = 3.0;
-const ROUNDS: usize = 8;
 /// The matrix is believed where what it leaves is this share of what is left without it.
 const EXPLAINED: f64 = 0.5;
-/// An axis is wrong where it is so far from one.
-const WRONG: f64 = 0.6;
 
 /// An axis of the accelerometer that does not read what the device feels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,70 +46,22 @@ impl Misread {
     }
 }
 
-/// A matrix row by row, then a bias.
-type Unknowns = SVector<f64, 12>;
-
-/// A change of velocity, and how it follows from the unknowns.
-struct Change {
-    by_unknowns: SMatrix<f64, 3, 12>,
-    m_s: Vector3<f64>,
-}
-
-impl Change {
-    fn left(&self, unknowns: &Unknowns) -> f64 {
-        (self.m_s - self.by_unknowns * unknowns).norm()
-    }
-}
-
 /// The axis that is farthest off, if one is; places that contradict one another explain nothing, and are `None`.
 pub(super) fn misread_axis(walk: &Walk) -> Option<Misread> {
     let changes = changes(walk);
     if changes.len() < FEWEST {
         return None;
     }
-    let prior = prior();
-    let mut weights = vec![1.0; changes.len()];
-    let mut found = prior;
-    for _ in 0..ROUNDS {
-        let mut information = SMatrix::<f64, 12, 12>::identity() * LOOSE.powi(-2);
-        for k in 9..12 {
-            information[(k, k)] = BIAS_SIGMA_M_S2.powi(-2);
-        }
-        let mut right = information * prior;
-        for (change, weight) in changes.iter().zip(&weights) {
-            let by = change.by_unknowns.transpose() * (weight * CHANGE_SIGMA_M_S.powi(-2));
-            information += by * change.by_unknowns;
-            right += by * change.m_s;
-        }
-        found = information.cholesky()?.solve(&right);
-        let sizes: Vec<f64> = changes.iter().map(|c| c.left(&found)).collect();
-        let usual = median(sizes.clone())?.max(f64::EPSILON);
-        let share = |size: &f64| (ROBUST_MEDIANS * usual / size.max(f64::EPSILON)).min(1.0);
-        weights = sizes.iter().map(share).collect();
-    }
-    let usual = |unknowns: &Unknowns| median(changes.iter().map(|c| c.left(unknowns)).collect());
-    if usual(&found)? > EXPLAINED * usual(&prior)? {
+    let found = fit(&changes, [CHANGE_SIGMA_M_S, BIAS_SIGMA_M_S2])?;
+    if usually_left(&changes, &found)? > EXPLAINED * usually_left(&changes, &as_it_is())? {
         return None;
     }
-    let felt_by_read = Matrix3::from_fn(|row, column| found[3 * row + column]);
-    let off = felt_by_read - Matrix3::identity();
-    let worst = (0..3).max_by(|a, b| off.column(*a).norm().total_cmp(&off.column(*b).norm()))?;
-    (off.column(worst).norm() > WRONG).then(|| Misread {
-        axis: ['x', 'y', 'z'][worst],
-        felt: felt_by_read.column(worst).into_owned().into(),
-    })
+    let (axis, felt) = wrong_axis(&found)?;
+    Some(Misread { axis, felt })
 }
 
-/// A matrix of one, no bias.
-fn prior() -> Unknowns {
-    let mut prior = Unknowns::zeros();
-    for axis in 0..3 {
-        prior[4 * axis] = 1.0;
-    }
-    prior
-}
-
-fn changes(walk: &Walk) -> Vec<Change> {
+/// Changes of the velocity, with how they follow from the readings.
+fn changes(walk: &Walk) -> Vec<Measured> {
     let localized = walk.frames.iter().filter_map(|frame| {
         Some(StampedPose {
             time: frame.time,
@@ -141,7 +87,7 @@ fn change(
     walk: &Walk,
     trajectory: &Trajectory,
     [before, middle, after]: [&StampedPose; 3],
-) -> Option<Change> {
+) -> Option<Measured> {
     let secs = |pose: &StampedPose| pose.time.secs_since(middle.time);
     let (from, to) = (secs(before), secs(after));
     let velocity = |a: &StampedPose, b: &StampedPose, secs: f64| {
@@ -176,8 +122,8 @@ fn change(
         }
         area += weight;
     }
-    (area > 0.8 * 0.5 * (to - from)).then(|| Change {
+    (area > 0.8 * 0.5 * (to - from)).then(|| Measured {
         by_unknowns,
-        m_s: gained - standard_gravity_m_s2() * area,
+        value: gained - standard_gravity_m_s2() * area,
     })
 }

@@ -39,6 +39,7 @@ mod recorded_walk;
 mod refusal;
 mod report;
 mod run;
+mod sensor_axes;
 mod settling;
 mod start;
 mod together;

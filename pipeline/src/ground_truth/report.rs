@@ -1,3 +1,4 @@
+use lsfb_geometry::so3;
 use lsfb_solver::Termination;
 use lsfb_types::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -8,7 +9,7 @@ use super::imu_refinement::ImuRefinement;
 use super::map_agreement::MapAgreement;
 use super::other_place::OtherPlace;
 use super::walk::{LocalPoint, Walk};
-use crate::residuals::{CameraCorrection, entry};
+use crate::residuals::{CameraCorrection, entry, stated_from_found};
 
 /// Why a stretch is left out of the trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -293,9 +294,9 @@ pub enum GroundTruthWarning {
 pub struct CameraRefinement {
     /// Its name.
     pub camera: String,
-    /// Turn of the camera frame about its axes, degrees.
+    /// How points before the camera turn, from where the rig file says that they are, about the camera's axes, degrees.
     pub turn_deg: [f64; 3],
-    /// Shift of the camera frame along its axes, metres.
+    /// How they are shifted, along the camera's axes, metres.
     pub shift_m: [f64; 3],
     /// Share by which the focal length is larger.
     pub focal_share: f64,
@@ -323,15 +324,17 @@ pub(super) fn refinements<'a>(
     let named = names.zip(found.zip(deviations));
     named
         .map(|(name, ((correction, camera), deviation))| {
-            let three = |from: usize| [0, 1, 2].map(|k| correction[from + k]);
+            let found_from_stated = stated_from_found(correction).inverse();
             let mut sigmas = correction.component_div(&config.calibration_sigmas(camera));
             if camera.sigmas().readout_s.is_none() {
                 sigmas[entry::READOUT] = 0.0;
             }
             CameraRefinement {
                 camera: name.to_owned(),
-                turn_deg: three(entry::TURN).map(f64::to_degrees),
-                shift_m: three(entry::SHIFT),
+                turn_deg: so3::log(&found_from_stated.rotation)
+                    .map(f64::to_degrees)
+                    .into(),
+                shift_m: found_from_stated.translation.into(),
                 focal_share: correction[entry::FOCAL],
                 focal_sigma: deviation[entry::FOCAL],
                 clock_s: correction[entry::CLOCK],

@@ -1,8 +1,8 @@
 //! By how much a scan lies off the surfaces that the scans of a keyframe saw.
 
 use lsfb_geometry::{Matrix6, Se3, Vector3, Vector6, so3};
-use lsfb_perception::gauss_newton::{Next, NormalEquations, minimise};
 use lsfb_perception::lidar::Plane;
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 
 use super::{LidarFeatures, ScanFeatures};
 

@@ -5,7 +5,7 @@
 //! are freed, all by one factor, and the matches say which factor fits best and how well they know it.
 
 use lsfb_geometry::{Matrix6, Se3, Vector2, Vector6};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 use nalgebra::{SMatrix, SVector};
 
 use super::covariance::{Clustered, cells};

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use lsfb_geometry::{Matrix2, Matrix2x3, Matrix3, Matrix6, Se3, Vector2, so3};
-use lsfb_perception::gauss_newton::{Next, NormalEquations, minimise, minimise_damped};
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise, minimise_damped};
 use lsfb_types::Bounds;
 use nalgebra::Matrix2x6;
 use serde::{Deserialize, Serialize};

@@ -266,7 +266,7 @@ fn error_of(
     covariance: &SMatrix<f64, 9, 9>,
     settled: bool,
 ) -> CameraError {
-    let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
+    let moved = stated.rig_from_camera.inverse() * found.rig_from_camera;
     let focal_px = |camera: &RigCamera| camera.camera.lens.parameters().values[0];
     let sigma = |k: usize| covariance[(k, k)].sqrt();
     let turn = so3::log(&moved.rotation);

@@ -9,8 +9,8 @@ use lsfb_perception::projection::moved_by_inverse;
 use lsfb_solver::Undefined;
 use nalgebra::{SMatrix, SVector};
 
-/// How far a camera is from what the rig file says of it: turn (radians) and shift (metres) of the camera frame, share of the
-/// focal length, clock and readout time (seconds). Zero where the file is right.
+/// How far a camera is from what the rig file says of it: turn (radians) and shift (metres) of the camera frame, both in its own axes
+/// (`rig_from_camera` perturbed on the right), share of the focal length, clock and readout time (seconds). Zero where the file is right.
 pub type CameraCorrection = SVector<f64, 9>;
 
 /// Entries of a [`CameraCorrection`].
@@ -25,6 +25,13 @@ pub(crate) mod entry {
     pub const CLOCK: usize = 7;
     /// Added to the readout time.
     pub const READOUT: usize = 8;
+}
+
+/// Pose of the camera frame in the one that the rig file states.
+pub(crate) fn stated_from_found(correction: &CameraCorrection) -> Se3 {
+    let turn = correction.fixed_rows::<3>(entry::TURN).into_owned();
+    let shift = correction.fixed_rows::<3>(entry::SHIFT).into_owned();
+    Se3::new(so3::exp(&turn), shift)
 }
 
 /// Motion of the rig around the stamp of an image: to second order in time.
@@ -102,9 +109,8 @@ impl MovingCamera {
             .iter_mut()
             .for_each(|focal_px| *focal_px *= 1.0 + correction[entry::FOCAL]);
         camera.lens = camera.lens.model().lens(&lens);
-        let turn = correction.fixed_rows::<3>(entry::TURN).into_owned();
-        let shift = correction.fixed_rows::<3>(entry::SHIFT).into_owned();
-        let camera_from_rig = Se3::new(so3::exp(&turn), shift) * self.camera_from_rig;
+        let rig_from_camera = self.camera_from_rig.inverse() * stated_from_found(correction);
+        let camera_from_rig = rig_from_camera.inverse();
         Arc::new(Self {
             camera,
             camera_from_rig_rotation: camera_from_rig.rotation_matrix(),
@@ -208,7 +214,7 @@ impl MovingCamera {
         let in_rig = rig_from_stamp * at_stamp_y;
         let stated = self.camera_from_rig_rotation * in_rig + self.camera_from_rig.translation;
         let phi = correction.fixed_rows::<3>(entry::TURN).into_owned();
-        let turned = so3::exp(&phi).to_rotation_matrix().into_inner();
+        let turned_back = so3::exp(&-phi).to_rotation_matrix().into_inner();
         Sight {
             camera: self,
             focal: 1.0 + correction[entry::FOCAL],
@@ -220,24 +226,23 @@ impl MovingCamera {
             stamp_from_world,
             at_stamp_y,
             in_rig,
-            stated,
             phi,
-            turned,
-            in_camera: turned * stated + correction.fixed_rows::<3>(entry::SHIFT),
+            turned_back,
+            in_camera: turned_back * (stated - correction.fixed_rows::<3>(entry::SHIFT)),
         }
     }
 }
 
 /// A point before a camera of the rig in motion. With `τ` the time of the row, `y = R_WRᵀ (X − p − shift(τ))`,
-/// `q = exp(turn(τ))ᵀ y`, `c = exp(φ) (T_CR q) + ρ` and `Π = ∂π/∂c`, the derivatives of its pixel are, all by the chain rule:
+/// `q = exp(turn(τ))ᵀ y`, `c = exp(φ)ᵀ (T_CR q − ρ)` and `Π = ∂π/∂c`, the derivatives of its pixel are, all by the chain rule:
 ///
 /// | by | is |
 /// |---|---|
-/// | pose | `Π exp(φ) R_CR exp(turn)ᵀ [[y]ₓ, −I]` |
-/// | point | `Π exp(φ) R_CR exp(turn)ᵀ R_WRᵀ` |
-/// | φ, ρ | `−Π [exp(φ) T_CR q]ₓ Jₗ(φ)`, `Π` |
+/// | pose | `Π exp(φ)ᵀ R_CR exp(turn)ᵀ [[y]ₓ, −I]` |
+/// | point | `Π exp(φ)ᵀ R_CR exp(turn)ᵀ R_WRᵀ` |
+/// | φ, ρ | `Π [c]ₓ Jᵣ(φ)`, `−Π exp(φ)ᵀ` |
 /// | focal length | `π(c) − principal point` |
-/// | clock | `Π exp(φ) R_CR (−Jᵣ(turn) turn' × q − (R_WR exp(turn))ᵀ shift')` |
+/// | clock | `Π exp(φ)ᵀ R_CR (−Jᵣ(turn) turn' × q − (R_WR exp(turn))ᵀ shift')` |
 /// | readout | the same times the row's share |
 pub(super) struct Sight<'a> {
     camera: &'a MovingCamera,
@@ -255,11 +260,9 @@ pub(super) struct Sight<'a> {
     at_stamp_y: Vector3<f64>,
     /// `q`.
     in_rig: Vector3<f64>,
-    /// `T_CR q`.
-    stated: Vector3<f64>,
     phi: Vector3<f64>,
-    /// `exp(φ)`.
-    turned: Matrix3<f64>,
+    /// `exp(φ)ᵀ`.
+    turned_back: Matrix3<f64>,
     /// `c`.
     in_camera: Vector3<f64>,
 }
@@ -283,21 +286,20 @@ impl Sight<'_> {
         let projection = camera.project_with_jacobian(&self.in_camera);
         let projection = projection.ok_or(Undefined)?;
         let by_camera = projection.pixel_by_point * self.focal;
-        let by_rig = by_camera * self.turned * self.camera.camera_from_rig_rotation;
+        let by_rig = by_camera * self.turned_back * self.camera.camera_from_rig_rotation;
         let by_stamp = by_rig * self.rig_from_stamp;
         let mut by_correction = SMatrix::<f64, 2, 9>::zeros();
         if with_correction {
             let turning = so3::right_jacobian(&self.turn) * self.turn_rate_rad_s;
             let moving = self.rig_from_stamp * self.stamp_from_world * self.velocity_m_s;
             let by_time = by_rig * (-turning.cross(&self.in_rig) - moving);
-            let by_turn =
-                -by_camera * so3::hat(&(self.turned * self.stated)) * so3::left_jacobian(&self.phi);
+            let by_turn = by_camera * so3::hat(&self.in_camera) * so3::right_jacobian(&self.phi);
             by_correction
                 .fixed_columns_mut::<3>(entry::TURN)
                 .copy_from(&by_turn);
             by_correction
                 .fixed_columns_mut::<3>(entry::SHIFT)
-                .copy_from(&by_camera);
+                .copy_from(&(-by_camera * self.turned_back));
             let from_principal = projection.pixel - Vector2::from(camera.principal_px());
             by_correction.set_column(entry::FOCAL, &from_principal);
             by_correction.set_column(entry::CLOCK, &by_time);

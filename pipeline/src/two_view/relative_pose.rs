@@ -2,7 +2,7 @@
 //! DAGM 2003), scored by truncated squares (Torr and Zisserman, "MLESAC", CVIU 2000).
 
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 use lsfb_types::Bounds;
 use nalgebra::{Rotation3, UnitVector3};
 use rand::{RngExt, SeedableRng};

@@ -1,7 +1,7 @@
 //! Images that share their corners, as part of a problem and for themselves.
 
 use lsfb_geometry::{Camera, Matrix2x3, Se3, Vector2, Vector3};
-use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_solver::gauss_newton::NormalEquations;
 use lsfb_solver::{self as solver, BlockId, Kernel, PosePrior, Problem, covariance, marginal};
 
 use super::{Normal, Shared, SharedMatrix, SharedVector, Unknown, by_hand};

@@ -11,7 +11,7 @@
 mod block;
 
 use lsfb_geometry::{Camera, Se3};
-use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_solver::gauss_newton::NormalEquations;
 use lsfb_solver::{
     self as solver, Diagnosis, Kernel, PosePrior, Problem, SolveConfig, VectorPrior, solve,
 };

@@ -14,6 +14,7 @@ use super::calib_input::{Source, add_input, calibrated_unix_s, name_of_camera, v
 use super::calib_result::{Calibrated, Results, write_transforms};
 use super::write;
 use crate::context::Context;
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
@@ -38,8 +39,8 @@ pub struct Arguments {
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
     /// Lens model of all cameras.
-    #[arg(long, value_name = "NAME", value_enum, default_value_t = Model::KannalaBrandt)]
-    model: Model,
+    #[arg(long, value_name = "NAME", default_value = LensModel::KannalaBrandt.name(), value_parser = one_of(&LensModel::ALL, LensModel::name))]
+    model: LensModel,
     /// Rig to put the cameras into; the rest of it is kept. Cameras that seem to be swapped are named in a warning. What it says of their
     /// shutters (readout_s) is taken out of images that follow each other by less than a quarter of a second.
     #[arg(long, value_name = "TOML")]
@@ -53,27 +54,6 @@ pub struct Arguments {
     /// Settings instead of the defaults; --model still selects the model.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Model {
-    PinholeRadtan,
-    KannalaBrandt,
-    DoubleSphere,
-    ExtendedUnified,
-    FieldOfView,
-}
-
-impl From<Model> for LensModel {
-    fn from(model: Model) -> Self {
-        match model {
-            Model::PinholeRadtan => Self::PinholeRadtan,
-            Model::KannalaBrandt => Self::KannalaBrandt,
-            Model::DoubleSphere => Self::DoubleSphere,
-            Model::ExtendedUnified => Self::ExtendedUnified,
-            Model::FieldOfView => Self::FieldOfView,
-        }
-    }
 }
 
 /// The views as a global shutter would have them, where the rig says how long the camera's takes to roll.
@@ -103,7 +83,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => super::read_config(path)?,
         None => CameraConfig::default(),
     };
-    config.model = arguments.model.into();
+    config.model = arguments.model;
     let mut rig = match &arguments.rig {
         Some(path) => Rig::read(path)?,
         None => Rig::empty("rig"),

@@ -12,6 +12,7 @@ use lsfb_recording::Provenance;
 
 use super::calib_result::Results;
 use crate::context::Context;
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Import a rig from the files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
@@ -28,8 +29,8 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct ImportArguments {
     /// The program whose files these are.
-    #[arg(value_enum)]
-    program: Program,
+    #[arg(value_parser = one_of(&Format::ALL, Format::key))]
+    program: Format,
     /// The files, in the order of the examples.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
@@ -50,8 +51,8 @@ pub struct ImportArguments {
 #[command(verbatim_doc_comment)]
 pub struct ExportArguments {
     /// The program to write files for.
-    #[arg(value_enum)]
-    program: Program,
+    #[arg(value_parser = one_of(&Format::ALL, Format::key))]
+    program: Format,
     /// The rig to export.
     #[arg(value_name = "TOML")]
     rig: PathBuf,
@@ -61,25 +62,6 @@ pub struct ExportArguments {
     /// IMU samples per second, which a rig does not hold.
     #[arg(long, value_name = "HZ", default_value_t = 200.0)]
     imu_rate_hz: f64,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Program {
-    Kalibr,
-    Ros,
-    Colmap,
-    Basalt,
-}
-
-impl From<Program> for Format {
-    fn from(program: Program) -> Self {
-        match program {
-            Program::Kalibr => Self::Kalibr,
-            Program::Ros => Self::Ros,
-            Program::Colmap => Self::Colmap,
-            Program::Basalt => Self::Basalt,
-        }
-    }
 }
 
 /// Reads the files, writes the rig.
@@ -148,9 +130,9 @@ fn text(path: &Path) -> anyhow::Result<String> {
 fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     let files = &arguments.files;
     let most = match arguments.program {
-        Program::Ros => usize::MAX,
-        Program::Basalt => 1,
-        Program::Kalibr | Program::Colmap => 2,
+        Format::Ros => usize::MAX,
+        Format::Basalt => 1,
+        Format::Kalibr | Format::Colmap => 2,
     };
     anyhow::ensure!(
         files.len() <= most,
@@ -163,7 +145,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     let name = first.display().to_string();
     let second = files.get(1);
     Ok(match arguments.program {
-        Program::Kalibr => {
+        Format::Kalibr => {
             let found = read_kalibr(files)?;
             anyhow::ensure!(
                 !found.rig.cameras.is_empty() || arguments.rig.is_some(),
@@ -171,12 +153,12 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
             );
             found
         }
-        Program::Colmap => {
+        Format::Colmap => {
             let config = second.map(|p| text(p)).transpose()?;
             import_colmap(&text(first)?, config.as_deref(), &name)?
         }
-        Program::Basalt => import_basalt(&text(first)?, &name)?,
-        Program::Ros => {
+        Format::Basalt => import_basalt(&text(first)?, &name)?,
+        Format::Ros => {
             let mut rig = Rig::empty("ros");
             let mut notes = Vec::new();
             for (k, path) in files.iter().enumerate() {
@@ -281,7 +263,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
 /// Writes the files.
 pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
     let rig = Rig::read(&arguments.rig)?;
-    let exported = export(&rig, arguments.program.into(), arguments.imu_rate_hz)?;
+    let exported = export(&rig, arguments.program, arguments.imu_rate_hz)?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     let files = exported.files.iter();
     let paths: Vec<PathBuf> = files.map(|f| arguments.out.join(&f.name)).collect();

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use lsfb_eval::{
-    Columns, ReadOptions, StampUnit, TrajectoryFormat, Written, read_trajectory, write_trajectory,
+    Columns, ReadOptions, TrajectoryFormat, Written, read_trajectory, write_trajectory,
 };
-use lsfb_types::{Finding, Judgement, Verdict};
+use lsfb_types::{Finding, Judgement, StampUnit, Verdict};
 
 use crate::context::Context;
 use crate::judged::{Judged, problem_lines};

@@ -7,14 +7,14 @@ use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::DeltaUnit;
 use lsfb_eval::report::Report;
 use lsfb_eval::{
-    Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, StampUnit, evaluate_files,
-    read_trajectory,
+    Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, evaluate_files, read_trajectory,
 };
 use lsfb_geometry::Trajectory;
-use lsfb_types::Judgement;
+use lsfb_types::{Judgement, StampUnit};
 
 use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Evaluate a trajectory against ground truth: absolute and relative errors, recall, smoothness.
@@ -48,8 +48,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
     /// How the estimate is aligned to the ground truth before errors are computed; yaw turns about the vertical z axis alone.
-    #[arg(long, value_name = "MODE", value_enum, default_value_t = Align::Se3)]
-    align: Align,
+    #[arg(long, value_name = "MODE", default_value = AlignmentMode::Se3.key(), value_parser = one_of(&AlignmentMode::NAMED, AlignmentMode::key))]
+    align: AlignmentMode,
     /// Largest difference between the stamps of matched poses.
     #[arg(long, default_value_t = 0.01, value_name = "SECS")]
     max_difference_secs: f64,
@@ -57,8 +57,8 @@ pub struct Arguments {
     #[arg(long, value_name = "NUMBER")]
     rpe_delta: Option<f64>,
     /// Unit of --rpe-delta.
-    #[arg(long, value_name = "UNIT", value_enum, default_value_t = RpeUnit::Metres)]
-    rpe_unit: RpeUnit,
+    #[arg(long, value_name = "UNIT", default_value = DeltaUnit::Metres.key(), value_parser = one_of(&DeltaUnit::ALL, DeltaUnit::key))]
+    rpe_unit: DeltaUnit,
     /// Use all pairs of poses, not only consecutive ones.
     #[arg(long)]
     rpe_all_pairs: bool,
@@ -83,23 +83,6 @@ pub struct Arguments {
     /// The topic or the device that holds the ground truth.
     #[arg(long, value_name = "NAME")]
     truth_stream: Option<String>,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Align {
-    None,
-    Se3,
-    Sim3,
-    Yaw,
-    Origin,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum RpeUnit {
-    Frames,
-    Metres,
-    Seconds,
-    Degrees,
 }
 
 /// Evaluates, prints.
@@ -154,27 +137,16 @@ fn config(arguments: &Arguments) -> EvalConfig {
             false => PairSelection::Consecutive,
         },
     };
-    let unit = match arguments.rpe_unit {
-        RpeUnit::Frames => DeltaUnit::Frames,
-        RpeUnit::Metres => DeltaUnit::Metres,
-        RpeUnit::Seconds => DeltaUnit::Seconds,
-        RpeUnit::Degrees => DeltaUnit::Degrees,
-    };
+    let unit = arguments.rpe_unit;
     let usual = [rpe(1.0, DeltaUnit::Metres), rpe(1.0, DeltaUnit::Seconds)];
-    let (required, possible) = match (arguments.rpe_delta, arguments.rpe_unit) {
+    let (required, possible) = match (arguments.rpe_delta, unit) {
         (Some(delta), _) => (vec![rpe(delta, unit)], Vec::new()),
-        (None, RpeUnit::Metres) => (Vec::new(), usual.to_vec()),
+        (None, DeltaUnit::Metres) => (Vec::new(), usual.to_vec()),
         (None, _) => (vec![rpe(1.0, unit)], Vec::new()),
     };
     EvalConfig {
         max_difference_secs: arguments.max_difference_secs,
-        alignment: match arguments.align {
-            Align::None => AlignmentMode::None,
-            Align::Se3 => AlignmentMode::Se3,
-            Align::Sim3 => AlignmentMode::Sim3,
-            Align::Yaw => AlignmentMode::Yaw,
-            Align::Origin => AlignmentMode::Origin,
-        },
+        alignment: arguments.align,
         rpe: required,
         rpe_where_possible: possible,
         ..EvalConfig::default()

@@ -3,16 +3,16 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
 use lsfb_capture::doctor::examine_imus;
-use lsfb_datasets::import::{Format, ImportConfig, ImportReport, RecordCount, StampUnit, import};
+use lsfb_datasets::import::{Format, ImportConfig, ImportReport, RecordCount, import};
 use lsfb_geometry::Rig;
 use lsfb_recording::{Provenance, Recording};
+use lsfb_types::StampUnit;
 
 use crate::context::Context;
 use crate::files::expect_file;
 use crate::judged::{Judged, printable, problem_lines};
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
@@ -36,63 +36,17 @@ pub struct Arguments {
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
     /// Format of the source; by default it is recognised.
-    #[arg(long, value_name = "FORMAT", value_enum)]
-    format: Option<NamedFormat>,
+    #[arg(long, value_name = "FORMAT", value_parser = one_of(&Format::ALL, Format::name))]
+    format: Option<Format>,
     /// Name of the device in the topics, `/sidecar/NAME/…`: letters, digits, `-` and `_`.
     #[arg(long, value_name = "NAME", default_value = "phone", value_parser = device_name)]
     device: String,
     /// Unit of the stamps where the format leaves it open (kapture, LaMAR); by default it is told by their size.
-    #[arg(long, value_name = "UNIT", value_enum)]
-    stamp_unit: Option<NamedUnit>,
+    #[arg(long, value_name = "UNIT", value_parser = one_of(&StampUnit::ALL, StampUnit::sign))]
+    stamp_unit: Option<StampUnit>,
     /// The device's rig to attach, instead of the calibration that comes with the source.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-}
-
-/// A format by its name.
-#[derive(Clone, Copy)]
-struct NamedFormat(Format);
-
-impl ValueEnum for NamedFormat {
-    fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [NamedFormat; Format::ALL.len()] = {
-            let mut all = [NamedFormat(Format::Euroc); Format::ALL.len()];
-            let mut n = 0;
-            while n < all.len() {
-                all[n] = NamedFormat(Format::ALL[n]);
-                n += 1;
-            }
-            all
-        };
-        &ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.0.name()))
-    }
-}
-
-/// A unit by its sign.
-#[derive(Clone, Copy)]
-struct NamedUnit(StampUnit);
-
-impl ValueEnum for NamedUnit {
-    fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [NamedUnit; StampUnit::ALL.len()] = {
-            let mut all = [NamedUnit(StampUnit::Seconds); StampUnit::ALL.len()];
-            let mut n = 0;
-            while n < all.len() {
-                all[n] = NamedUnit(StampUnit::ALL[n]);
-                n += 1;
-            }
-            all
-        };
-        &ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.0.sign()))
-    }
 }
 
 fn device_name(text: &str) -> Result<String, String> {
@@ -111,9 +65,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     )?;
     context.claim(&arguments.out, &[&arguments.source])?;
     let config = ImportConfig {
-        format: arguments.format.map(|f| f.0),
+        format: arguments.format,
         device: arguments.device.clone(),
-        stamp_unit: arguments.stamp_unit.map(|u| u.0),
+        stamp_unit: arguments.stamp_unit,
         rig: arguments.rig.as_deref().map(Rig::read).transpose()?,
         replace_trajectories: context.force(),
     };

@@ -19,7 +19,7 @@ use crate::outcome::Outcome;
 
 /// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
 ///
-/// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
+/// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds, or packets of one of the LiDARs of --lidar-model, on any topic, and may have
 /// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
 /// Scans that could not be registered have no pose, and where none has one for a second and a half nothing is written (`lidar-gap`). Exit code 3
 /// where packets or messages are missing or cannot be read, where scans have no pose, where there is such a gap, or where the place of the last is not known to a metre; 4 where IMU and scans contradict each other (axes, clock, unit, where

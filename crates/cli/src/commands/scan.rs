@@ -21,6 +21,7 @@ use lsfb_recording::Existing;
 
 use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig, Odometry};
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Where the rig's certificate is, beside a list of devices without a `[sidecar]`.
@@ -55,7 +56,7 @@ pub struct Arguments {
     /// LiDAR packets of a pcap or pcapng capture.
     #[arg(long, value_name = "PCAP", group = "source")]
     pcap: Option<PathBuf>,
-    /// LiDAR packets of a rosbag2 database, as recorded by Velodyne's or Hesai's ROS driver.
+    /// LiDAR packets of a rosbag2 database, as recorded by the ROS driver of one of the LiDARs of --lidar-model.
     #[arg(long, value_name = "DB3", group = "source")]
     db3: Option<PathBuf>,
     /// LiDAR packets of an MCAP file, from rosbag2 or from `lsfb scan`: scans are decoded again.
@@ -112,12 +113,10 @@ pub struct Arguments {
 /// How the LiDAR packets of a capture file are read; for devices their list says it.
 #[derive(clap::Args)]
 struct LidarArguments {
-    /// Expected LiDAR of a capture file: vlp-32c, vlp-16, hdl-32e, xt32, pandar64 or qt64.
-    #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
+    #[arg(long, value_name = "MODEL", help = lidar_model_help(), conflicts_with = "devices", value_parser = lidar_model)]
     lidar_model: Option<Model>,
-    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns: strongest,
-    /// last or dual.
-    #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = returns)]
+    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns.
+    #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = one_of(&Returns::ALL, Returns::key))]
     force_returns: Option<Returns>,
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
@@ -127,7 +126,7 @@ struct LidarArguments {
     #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
     lidar_sender: Vec<Sender>,
     /// UDP ports of the LiDAR in a pcap capture, separated by commas.
-    #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = [2368, 8308, 10110], requires = "pcap")]
+    #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = any_lidar::factory_ports(), requires = "pcap")]
     lidar_ports: Vec<u16>,
 }
 
@@ -154,15 +153,12 @@ fn lidar_sender(text: &str) -> Result<Sender, String> {
 
 /// A sensor by its name on the command line.
 pub fn lidar_model(name: &str) -> Result<Model, String> {
-    Model::from_key(name).ok_or_else(|| {
-        let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
-        format!("expected one of {}", known.join(", "))
-    })
+    Model::from_key(name).ok_or_else(|| format!("expected one of {}", Model::keys()))
 }
 
-fn returns(name: &str) -> Result<Returns, String> {
-    let found = Returns::ALL.into_iter().find(|r| r.key() == name);
-    found.ok_or_else(|| "expected strongest, last or dual".to_owned())
+/// What `--lidar-model` takes.
+fn lidar_model_help() -> String {
+    format!("Expected LiDAR of a capture file, one of {}", Model::keys())
 }
 
 impl LidarArguments {

@@ -13,6 +13,7 @@ use lsfb_drivers::sidecar::sensor_logger::PushUnits;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
 use crate::context::Context;
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 use crate::qr_code;
 
@@ -76,18 +77,11 @@ struct Pair {
     #[arg(long, value_name = "NAME", conflicts_with = "browser")]
     push: Option<String>,
     /// How Sensor Logger is set: standard is Android, or "Standardise Units & Frames" on; ios is an iPhone with that off.
-    #[arg(long, requires = "push", default_value = "standard")]
-    units: Units,
+    #[arg(long, requires = "push", default_value = PushUnits::Standard.key(), value_parser = one_of(&PushUnits::ALL, PushUnits::key))]
+    units: PushUnits,
     /// How long the code is valid.
     #[arg(long, value_name = "SECS", conflicts_with = "push", default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..=86_400))]
     valid_secs: u32,
-}
-
-/// Units of an app that pushes.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Units {
-    Standard,
-    Ios,
 }
 
 /// Name the phones that are paired.
@@ -239,11 +233,7 @@ impl Pair {
                 self.devices.display()
             )
         })?;
-        let units = match self.units {
-            Units::Standard => PushUnits::Standard,
-            Units::Ios => PushUnits::Ios,
-        };
-        let key = to_hex(&folder.invite_pusher(name, units)?.0);
+        let key = to_hex(&folder.invite_pusher(name, self.units)?.0);
         let at = SocketAddr::new(host, listen.port());
         let url = format!("http://{at}/v1/push/{name}/{key}");
         let picture = qr_code::of(&url);

@@ -11,14 +11,19 @@ const LITTLE_BYTES: u64 = 10_000_000_000;
 const LOW_PERCENT: f64 = 25.0;
 const VERY_LOW_PERCENT: f64 = 10.0;
 
+/// The recorder's word for how bad something is as the page's colour.
+pub fn shown(level: health::Level) -> Level {
+    match level {
+        health::Level::Ok => Level::Good,
+        health::Level::Warn => Level::Warning,
+        health::Level::Error => Level::Bad,
+    }
+}
+
 /// The disk while a recording is written.
 pub fn recording_storage(health: &StorageHealth) -> StorageState {
     StorageState {
-        level: match health.level {
-            health::Level::Ok => Level::Good,
-            health::Level::Warn => Level::Warning,
-            health::Level::Error => Level::Bad,
-        },
+        level: shown(health.level),
         free_bytes: health.free_bytes,
         rate_bytes_s: health.rate_bytes_per_sec,
         full_in_s: health.secs_to_full,

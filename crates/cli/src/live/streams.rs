@@ -8,6 +8,8 @@ use lsfb_capture::{DevicesConfig, Ending, StreamReport, Tapped};
 use lsfb_operator::{Level, StreamState, SyncState};
 use lsfb_types::Timestamp;
 
+use super::host;
+
 /// Time over which rates are taken.
 const RATE_WINDOW: Duration = Duration::from_secs(2);
 /// Time over which a clock's smallest delay is looked for.
@@ -170,13 +172,11 @@ impl Streams {
     }
 }
 
-/// The recorder's words for the page's.
+/// The recorder's words for the page's; of a device that has sent nothing yet, nothing is known.
 fn level(device: &DeviceHealth) -> Level {
     match device.level {
         health::Level::Ok if device.received == 0 => Level::Unknown,
-        health::Level::Ok => Level::Good,
-        health::Level::Warn => Level::Warning,
-        health::Level::Error => Level::Bad,
+        level => host::shown(level),
     }
 }
 

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::Rig;
 use lsfb_recording::write_tum;
-use lsfb_types::ProgressFn;
+use lsfb_types::{ProgressFn, StampUnit};
 use serde::Serialize;
 
 use collected::Collected;
@@ -35,7 +35,6 @@ pub use format::Format;
 pub use image_files::{EurocImages, ImageFile, euroc_images};
 use payload::{Payload, Pixels};
 pub use report::{ClockOf, ImportReport, LeftOut, RecordCount};
-pub use stamp::StampUnit;
 use write::Said;
 
 use crate::Error;

@@ -1,99 +1,55 @@
 //! Stamps as text: decimal numbers in some unit, exact to the nanosecond.
 
-use serde::{Deserialize, Serialize};
-
-/// Unit of the stamps in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StampUnit {
-    /// Seconds.
-    Seconds,
-    /// Milliseconds.
-    Milliseconds,
-    /// Microseconds.
-    Microseconds,
-    /// Nanoseconds.
-    Nanoseconds,
-}
+use lsfb_types::StampUnit;
 
 /// Stamps from the year 2000 to 2100 in seconds since 1970: in each unit they have sizes that they have in no other.
 const THIS_CENTURY_S: std::ops::Range<f64> = 946_684_800.0..4_102_444_800.0;
 
-impl StampUnit {
-    /// Every unit.
-    pub const ALL: [Self; 4] = [
-        Self::Seconds,
-        Self::Milliseconds,
-        Self::Microseconds,
-        Self::Nanoseconds,
-    ];
+/// The unit in which a stamp is one of this century; `None` where it is in none.
+pub(super) fn unit_of_unix_stamp(text: &str) -> Option<StampUnit> {
+    let value: f64 = text.trim().parse().ok()?;
+    let is_now = |unit: &StampUnit| {
+        THIS_CENTURY_S.contains(&(value / 10f64.powi(9 - i32::from(unit.exponent()))))
+    };
+    StampUnit::ALL.into_iter().find(is_now)
+}
 
-    /// Its sign, as the command line takes it.
-    pub fn sign(self) -> &'static str {
-        match self {
-            Self::Seconds => "s",
-            Self::Milliseconds => "ms",
-            Self::Microseconds => "us",
-            Self::Nanoseconds => "ns",
-        }
-    }
+/// Nanoseconds of a stamp; what is wrong with it, in words.
+pub(super) fn parse(text: &str, unit: StampUnit) -> Result<i64, String> {
+    let text = text.trim();
+    nanos(text, unit.exponent().into())
+        .ok_or_else(|| format!("`{text}` is no stamp in {}", unit.sign()))
+}
 
-    /// How many decimals of it make a nanosecond.
-    fn decimals(self) -> usize {
-        match self {
-            Self::Seconds => 9,
-            Self::Milliseconds => 6,
-            Self::Microseconds => 3,
-            Self::Nanoseconds => 0,
-        }
+/// `decimals` of the unit make a nanosecond.
+fn nanos(text: &str, decimals: usize) -> Option<i64> {
+    if text.contains(['e', 'E']) {
+        let nanos: f64 = text.parse::<f64>().ok()? * 10f64.powi(decimals as i32);
+        return (nanos.abs() < 9e18).then_some(nanos.round() as i64);
     }
-
-    /// The unit in which a stamp is one of this century; `None` where it is in none.
-    pub(super) fn of_unix_stamp(text: &str) -> Option<Self> {
-        let value: f64 = text.trim().parse().ok()?;
-        let is_now = |unit: &Self| {
-            THIS_CENTURY_S.contains(&(value / 10f64.powi(9 - unit.decimals() as i32)))
-        };
-        Self::ALL.into_iter().find(is_now)
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, text),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let all_digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
+    if whole.is_empty() || !all_digits(whole) || !all_digits(fraction) {
+        return None;
     }
-
-    /// Nanoseconds of a stamp; what is wrong with it, in words.
-    pub(super) fn parse(self, text: &str) -> Result<i64, String> {
-        let text = text.trim();
-        self.nanos(text)
-            .ok_or_else(|| format!("`{text}` is no stamp in {}", self.sign()))
+    // Whoever counts nanoseconds has no parts of them: these are seconds.
+    if decimals == 0 && !fraction.is_empty() {
+        return None;
     }
-
-    fn nanos(self, text: &str) -> Option<i64> {
-        let decimals = self.decimals();
-        if text.contains(['e', 'E']) {
-            let nanos: f64 = text.parse::<f64>().ok()? * 10f64.powi(decimals as i32);
-            return (nanos.abs() < 9e18).then_some(nanos.round() as i64);
-        }
-        let (sign, digits) = match text.strip_prefix('-') {
-            Some(digits) => (-1, digits),
-            None => (1, text),
-        };
-        let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-        let all_digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
-        if whole.is_empty() || !all_digits(whole) || !all_digits(fraction) {
-            return None;
-        }
-        // Whoever counts nanoseconds has no parts of them: these are seconds.
-        if decimals == 0 && !fraction.is_empty() {
-            return None;
-        }
-        let mut nanos: i64 = whole.parse().ok()?;
-        for place in 0..decimals {
-            let digit = fraction.as_bytes().get(place).map_or(0, |b| b - b'0');
-            nanos = nanos.checked_mul(10)?.checked_add(i64::from(digit))?;
-        }
-        let rounds_up = fraction
-            .as_bytes()
-            .get(decimals)
-            .is_some_and(|b| *b >= b'5');
-        nanos.checked_add(i64::from(rounds_up))?.checked_mul(sign)
+    let mut nanos: i64 = whole.parse().ok()?;
+    for place in 0..decimals {
+        let digit = fraction.as_bytes().get(place).map_or(0, |b| b - b'0');
+        nanos = nanos.checked_mul(10)?.checked_add(i64::from(digit))?;
     }
+    let rounds_up = fraction
+        .as_bytes()
+        .get(decimals)
+        .is_some_and(|b| *b >= b'5');
+    nanos.checked_add(i64::from(rounds_up))?.checked_mul(sign)
 }
 
 #[cfg(test)]
@@ -136,13 +92,13 @@ mod tests {
             (Seconds, "1.2.3", None),
             (Seconds, ".5", None),
         ] {
-            assert_eq!(unit.parse(text).ok(), nanos, "{text} {}", unit.sign());
+            assert_eq!(parse(text, unit).ok(), nanos, "{text} {}", unit.sign());
         }
     }
 
     #[test]
     fn the_unit_of_a_stamp_of_this_century_is_known_by_its_size() {
-        let unit = StampUnit::of_unix_stamp;
+        let unit = unit_of_unix_stamp;
         assert_eq!(unit("1555398770.5"), Some(StampUnit::Seconds));
         assert_eq!(unit("1555398770307"), Some(StampUnit::Milliseconds));
         assert_eq!(unit("1555399760151000"), Some(StampUnit::Microseconds));

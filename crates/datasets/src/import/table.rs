@@ -4,8 +4,9 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
+use lsfb_types::StampUnit;
 
-use super::stamp::StampUnit;
+use super::stamp;
 use crate::Error;
 
 /// Most bytes of text that one file may unpack to.
@@ -170,6 +171,6 @@ impl Row<'_> {
 
     /// A stamp, nanoseconds.
     pub(super) fn stamp(&self, cell: usize, unit: StampUnit) -> Result<i64, String> {
-        unit.parse(self.text(cell))
+        stamp::parse(self.text(cell), unit)
     }
 }

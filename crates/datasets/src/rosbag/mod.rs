@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_recording::message::{
     CdrReader, CloudMessage, Layout, StaticTransform, decode_cloud, decode_packets_of,
+    lidar_packet_types,
 };
 use lsfb_types::{Image, Packet};
 
@@ -157,8 +158,10 @@ impl RosBag {
             [] => {
                 let kinds = self.topics.iter().map(|(t, kind)| format!("{t} ({kind})"));
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
+                let read: Vec<&str> = lidar_packet_types().collect();
+                let read = read.join(", ");
                 Err(self.wrong(format!(
-                    "no topic of scans: {CLOUD}, Velodyne's and Hesai's packets are read; there is {kinds}"
+                    "no topic of scans: {CLOUD}, {read} are read; there is {kinds}"
                 )))
             }
             _ => Err(self.wrong(format!(

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use super::stamp_unit::StampUnit;
+use lsfb_types::StampUnit;
 
 /// Where stamp, position and rotation stand in a row, counted from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,10 @@
 //! How the rows of a file are laid out.
 
+use lsfb_types::StampUnit;
+
 use super::colmap;
 use super::columns::{Columns, FrameColumns, Header};
-use super::stamp_unit::{StampSize, StampUnit};
+use super::stamp_unit::StampSize;
 use super::text::{Line, shown};
 
 /// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`.

@@ -17,7 +17,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Matrix6, StampedPose};
-use lsfb_types::{Finding, Timestamp, Verdict};
+use lsfb_types::{Finding, StampUnit, Timestamp, Verdict};
 use serde::Serialize;
 
 use crate::Error;
@@ -31,7 +31,6 @@ use text::{Line, shown};
 
 pub use columns::Columns;
 pub use row::covariance_in_world;
-pub use stamp_unit::StampUnit;
 
 /// What is understood, in the words of an error.
 const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt and images.bin or MCAP";
@@ -338,7 +337,7 @@ fn stamp_times(
         None => None,
     };
     let times = stamps.iter().map(|(number, text)| {
-        decimal_nanos(text, unit.exponent()).ok_or_else(|| bad(*number, text))
+        decimal_nanos(text, unit.exponent().into()).ok_or_else(|| bad(*number, text))
     });
     Ok((times.collect::<Result<_, _>>()?, remark))
 }

@@ -1,23 +1,7 @@
 //! In which unit a file gives its stamps.
 
-use std::fmt;
-use std::str::FromStr;
-
 use lsfb_geometry::StampedPose;
-use lsfb_types::median;
-
-/// Unit of a file's stamps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StampUnit {
-    /// Seconds.
-    Seconds,
-    /// Milliseconds.
-    Milliseconds,
-    /// Microseconds.
-    Microseconds,
-    /// Nanoseconds.
-    Nanoseconds,
-}
+use lsfb_types::{StampUnit, median};
 
 /// Poses come faster than the one and slower than the other wherever stamps are what they seem.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 0.5..=5000.0;
@@ -31,60 +15,6 @@ const SLOW_STEP_SECS: f64 = 0.5;
 const SPEEDS_M_S: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 /// Slower than this it rests, m/s.
 const RESTING_M_S: f64 = 0.02;
-
-impl StampUnit {
-    const ALL: [Self; 4] = [
-        Self::Seconds,
-        Self::Milliseconds,
-        Self::Microseconds,
-        Self::Nanoseconds,
-    ];
-
-    /// Power of ten that makes nanoseconds of it.
-    pub(super) fn exponent(self) -> i64 {
-        match self {
-            Self::Seconds => 9,
-            Self::Milliseconds => 6,
-            Self::Microseconds => 3,
-            Self::Nanoseconds => 0,
-        }
-    }
-
-    /// Length of the unit.
-    pub(crate) fn secs(self) -> f64 {
-        match self {
-            Self::Seconds => 1.0,
-            Self::Milliseconds => 1e-3,
-            Self::Microseconds => 1e-6,
-            Self::Nanoseconds => 1e-9,
-        }
-    }
-}
-
-impl fmt::Display for StampUnit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Seconds => "seconds",
-            Self::Milliseconds => "milliseconds",
-            Self::Microseconds => "microseconds",
-            Self::Nanoseconds => "nanoseconds",
-        })
-    }
-}
-
-impl FromStr for StampUnit {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.to_lowercase().as_str() {
-            "s" | "sec" | "secs" | "seconds" => Ok(Self::Seconds),
-            "ms" | "msec" | "milliseconds" => Ok(Self::Milliseconds),
-            "us" | "µs" | "usec" | "microseconds" => Ok(Self::Microseconds),
-            "ns" | "nsec" | "nanoseconds" => Ok(Self::Nanoseconds),
-            _ => Err("expected s, ms, us or ns".to_owned()),
-        }
-    }
-}
 
 /// What stamps are judged by.
 #[derive(Clone, Copy, Debug, PartialEq)]

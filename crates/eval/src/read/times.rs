@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
-use lsfb_types::Timestamp;
+use lsfb_types::{StampUnit, Timestamp};
 
 use super::stamp_times;
-use super::stamp_unit::StampUnit;
 use super::text;
 use crate::Error;
 

@@ -6,7 +6,7 @@ use lsfb_types::Image;
 use nalgebra::{SVector, Vector6};
 
 use super::gray::Gray;
-use crate::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 
 /// Width of the images that are registered as a whole, coarse first, pixels.
 const WIDTHS: [u32; 2] = [64, 160];

@@ -5,7 +5,7 @@ use lsfb_geometry::Vector2;
 use nalgebra::Matrix2;
 
 use super::gray::Gray;
-use crate::gauss_newton::{Next, NormalEquations, minimise};
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 
 /// Edge of a patch, and with its neighbours; pixels in it.
 const EDGE: usize = 9;

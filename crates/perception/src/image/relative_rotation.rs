@@ -14,8 +14,8 @@ use lsfb_solver::directions_across;
 use nalgebra::{SVector, UnitVector3};
 
 use super::tracking::Track;
-use crate::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use crate::statistics::median;
+use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 
 /// Tracks needed.
 const MIN_TRACKS: usize = 16;

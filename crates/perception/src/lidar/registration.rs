@@ -8,7 +8,7 @@ use nalgebra::Matrix3x6;
 use rayon::prelude::*;
 
 use super::plane::Plane;
-use crate::gauss_newton::{Next, NormalEquations, minimise};
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 
 /// What a point of a scan is registered to.
 #[derive(Clone, Copy, Debug, PartialEq)]

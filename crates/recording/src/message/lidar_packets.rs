@@ -2,21 +2,42 @@
 
 use lsfb_types::{Packet, Timestamp};
 
-use super::schema::{LIDAR_PACKETS, PANDAR_SCAN, VELODYNE_SCAN};
+use super::schema::{LIDAR_PACKETS, PANDAR_SCAN, Schema, VELODYNE_SCAN};
 use crate::cdr::{CdrError, CdrReader, CdrWriter, Layout};
 
-/// `VelodynePacket.data` is a fixed array.
-const VELODYNE_DATA_BYTES: usize = 1206;
-/// `PandarPacket.data` is a fixed array, of which `size` bytes are the packet.
-const PANDAR_DATA_BYTES: usize = 1500;
+/// A message type of a ROS driver that holds packets, each in an array of one length.
+struct RosPackets {
+    schema: Schema,
+    /// Length of the array.
+    array_bytes: usize,
+    /// Whether a number behind the array says how much of it is the packet.
+    has_size: bool,
+}
+
+const ROS_PACKETS: [RosPackets; 2] = [
+    RosPackets {
+        schema: VELODYNE_SCAN,
+        array_bytes: 1206,
+        has_size: false,
+    },
+    RosPackets {
+        schema: PANDAR_SCAN,
+        array_bytes: 1500,
+        has_size: true,
+    },
+];
 /// A packet in a message takes a stamp and a length at least.
 const LEAST_PACKET_BYTES: usize = 12;
 
+/// Names of the types of messages that hold LiDAR packets that [`decode_lidar_packets`] reads: ours first.
+pub fn lidar_packet_types() -> impl Iterator<Item = &'static str> {
+    let others = ROS_PACKETS.iter().map(|known| known.schema.name);
+    std::iter::once(LIDAR_PACKETS.name).chain(others)
+}
+
 /// Whether messages of the type `schema` hold LiDAR packets that [`decode_lidar_packets`] reads.
 pub fn holds_lidar_packets(schema: &str) -> bool {
-    [LIDAR_PACKETS, VELODYNE_SCAN, PANDAR_SCAN]
-        .iter()
-        .any(|known| known.name == schema)
+    lidar_packet_types().any(|known| known == schema)
 }
 
 /// `lsfb_msgs/msg/LidarPackets`; each packet keeps its own receive time.
@@ -35,8 +56,7 @@ pub fn encode_lidar_packets(time: Timestamp, frame: &str, packets: &[Packet]) ->
     w.finish()
 }
 
-/// The packets of a message of the type `schema`: `lsfb_msgs/msg/LidarPackets`, `velodyne_msgs/msg/VelodyneScan` or
-/// `pandar_msgs/msg/PandarScan`.
+/// The packets of a message of the type `schema`, one of [`lidar_packet_types`].
 pub fn decode_lidar_packets(schema: &str, bytes: &[u8]) -> Result<Vec<Packet>, CdrError> {
     decode_packets_of(Layout::Cdr, schema, bytes)
 }
@@ -51,18 +71,21 @@ pub fn decode_packets_of(
     r.header()?;
     let count = r.u32("packets")? as usize;
     let mut packets = Vec::with_capacity(count.min(bytes.len() / LEAST_PACKET_BYTES));
+    let of_ros = ROS_PACKETS.iter().find(|known| known.schema.name == schema);
     for _ in 0..count {
         let arrival = r.time("packets.stamp")?;
-        let data = match schema {
-            _ if schema == VELODYNE_SCAN.name => r.raw("packets.data", VELODYNE_DATA_BYTES)?,
-            _ if schema == PANDAR_SCAN.name => {
-                let data = r.raw("packets.data", PANDAR_DATA_BYTES)?;
-                let size = r.u32("packets.size")? as usize;
-                data.get(..size).ok_or(CdrError::Value {
+        let data = match of_ros {
+            None => r.byte_sequence("packets.data")?,
+            Some(known) => {
+                let array = r.raw("packets.data", known.array_bytes)?;
+                let size = match known.has_size {
+                    true => r.u32("packets.size")? as usize,
+                    false => known.array_bytes,
+                };
+                array.get(..size).ok_or(CdrError::Value {
                     field: "packets.size",
                 })?
             }
-            _ => r.byte_sequence("packets.data")?,
         };
         packets.push(Packet {
             arrival,

@@ -33,6 +33,7 @@ pub use imu::{
 };
 pub use lidar_packets::{
     decode_lidar_packets, decode_packets_of, encode_lidar_packets, holds_lidar_packets,
+    lidar_packet_types,
 };
 pub use lsfb::{
     FrameMeta, RawPacket, decode_frame_meta, decode_raw_packet, encode_frame_meta,

@@ -1,42 +1,21 @@
 //! What can be set about the LiDAR.
 
-use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::lidar::Returns;
+use lsfb_drivers::velodyne::Model;
 use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
-/// Model of the LiDAR.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum LidarModel {
-    /// Velodyne VLP-32C (Ultra Puck).
-    #[default]
-    #[serde(rename = "vlp-32c")]
-    Vlp32c,
-    /// Velodyne VLP-16 (Puck).
-    #[serde(rename = "vlp-16")]
-    Vlp16,
-}
-
-impl LidarModel {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Vlp32c, Self::Vlp16];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Vlp32c => "vlp-32c",
-            Self::Vlp16 => "vlp-16",
-        }
-    }
-}
+/// The sensors that are simulated; the others are played from recordings alone.
+pub const SIMULATED_LIDARS: [Model; 2] = [Model::Vlp32c, Model::Vlp16];
 
 /// The LiDAR.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LidarConfig {
     /// Which sensor it is.
-    pub model: LidarModel,
+    pub model: Model,
     /// Which echoes it sends.
-    pub returns: ReturnMode,
+    pub returns: Returns,
     /// Width and height of the beam, radians: what lies inside answers together. 0 is a line.
     pub divergence_rad: [f64; 2],
     /// Surfaces in one beam that are nearer to each other than this give one echo, between them, metres.
@@ -62,8 +41,8 @@ pub struct LidarConfig {
 impl Default for LidarConfig {
     fn default() -> Self {
         Self {
-            model: LidarModel::default(),
-            returns: ReturnMode::default(),
+            model: Model::Vlp32c,
+            returns: Returns::default(),
             divergence_rad: [0.0; 2],
             // VLP-32C 63-9325 p. 33.
             separation_m: 1.0,
@@ -98,10 +77,44 @@ lsfb_types::bounds! {
 
 impl LidarConfig {
     pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        if self.rpm.is_multiple_of(60) {
-            return Ok(());
+        if !SIMULATED_LIDARS.contains(&self.model) {
+            let bounds = SIMULATED_LIDARS.map(Model::key).join(" or ");
+            let model = self.model.key();
+            return Err(OutOfBounds::new(section, "model", &model, &bounds));
         }
-        let bounds = "a multiple of 60";
-        Err(OutOfBounds::new(section, "rpm", &self.rpm, &bounds))
+        if !self.rpm.is_multiple_of(60) {
+            let bounds = "a multiple of 60";
+            return Err(OutOfBounds::new(section, "rpm", &self.rpm, &bounds));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sensor_that_is_not_simulated_is_refused_by_name() {
+        for model in Model::ALL {
+            let text = serde_json::json!({ "model": model.key() });
+            let config: LidarConfig = serde_json::from_value(text).expect("the name of a model");
+            assert_eq!(config.model, model);
+            assert_eq!(
+                config.check("lidar").is_ok(),
+                SIMULATED_LIDARS.contains(&model)
+            );
+        }
+        let config = LidarConfig {
+            model: Model::Hdl32e,
+            ..LidarConfig::default()
+        };
+        assert_eq!(
+            config
+                .check("lidar")
+                .expect_err("not simulated")
+                .to_string(),
+            "setting lidar.model is hdl-32e: it must be vlp-32c or vlp-16"
+        );
     }
 }

@@ -21,7 +21,7 @@ pub use ambient::{
 };
 pub use device::Device;
 pub use imu::{ImuConfig, SimulatedImu};
-pub use lidar::{LidarConfig, LidarModel};
+pub use lidar::{LidarConfig, SIMULATED_LIDARS};
 pub use light::LightConfig;
 pub use look::Look;
 pub use place::Place;

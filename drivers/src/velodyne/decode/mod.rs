@@ -7,8 +7,8 @@ use super::model::{Model, Product};
 use super::nmea::Sentence;
 use super::points::{Firing, OpticalOffset, PointMaker};
 use super::wire::{
-    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
-    identify,
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, identify,
+    returns_of_code,
 };
 use crate::lidar::{
     Counters, Found, Instants, MOST_LATE, Position, Returns, ScanBuilder, ScanSettings, Step,
@@ -33,7 +33,7 @@ pub enum ModelChoice {
     /// The factory bytes, and packets of any other model are refused.
     Expect(Model),
     /// These, whatever the factory bytes say: old firmware leaves them meaningless.
-    Force(Model, ReturnMode),
+    Force(Model, Returns),
 }
 
 /// How packets become scans.
@@ -50,13 +50,8 @@ pub struct DecoderConfig {
 impl DecoderConfig {
     /// What the settings of any LiDAR mean for these.
     pub fn new(model: Option<Model>, settings: &ScanSettings) -> Self {
-        let returns = settings.force_returns.map(|returns| match returns {
-            Returns::Strongest => ReturnMode::Strongest,
-            Returns::Last => ReturnMode::Last,
-            Returns::Dual => ReturnMode::Dual,
-        });
         Self {
-            model: match (model, returns) {
+            model: match (model, settings.force_returns) {
                 (Some(model), Some(returns)) => ModelChoice::Force(model, returns),
                 (Some(model), None) => ModelChoice::Expect(model),
                 (None, _) => ModelChoice::FromPackets,
@@ -156,7 +151,7 @@ pub struct Decoder {
     late_in_a_row: u32,
     proven: bool,
     refusal: Option<DecodeError>,
-    found: Option<(Model, ReturnMode)>,
+    found: Option<(Model, Returns)>,
     maker: Option<(Model, Box<PointMaker>)>,
     /// Buffer of the last packet: room for the next.
     spare: Vec<u8>,
@@ -285,9 +280,9 @@ impl Decoder {
         Some(Found {
             model,
             returns: match mode {
-                ReturnMode::Strongest => "strongest",
-                ReturnMode::Last => "last",
-                ReturnMode::Dual => "last + strongest",
+                Returns::Strongest => "strongest",
+                Returns::Last => "last",
+                Returns::Dual => "last + strongest",
             },
             rpm: None,
         })
@@ -296,7 +291,7 @@ impl Decoder {
     fn accept<'a>(
         &self,
         bytes: &'a [u8],
-    ) -> Result<(DataPacket<&'a [u8]>, Model, ReturnMode), DecodeError> {
+    ) -> Result<(DataPacket<&'a [u8]>, Model, Returns), DecodeError> {
         if let Some(refusal) = self.refusal {
             return Err(refusal);
         }
@@ -317,7 +312,7 @@ impl Decoder {
             .ok_or(DecodeError::Unsupported { product })?;
         let data = DataPacket::new(bytes)?;
         let code = data.return_mode_code();
-        let mode = ReturnMode::from_code(code).ok_or(DecodeError::ReturnMode { code })?;
+        let mode = returns_of_code(code).ok_or(DecodeError::ReturnMode { code })?;
         Ok((data, model, mode))
     }
 
@@ -419,18 +414,18 @@ impl Decoder {
                 pace_centideg_ns: layout.pace_centideg_ns(group),
                 offset_ns: block.offset_ns,
                 echo: match layout.mode {
-                    ReturnMode::Strongest => Echo::Strongest,
-                    ReturnMode::Last => Echo::Last,
-                    ReturnMode::Dual => Echo::Both,
+                    Returns::Strongest => Echo::Strongest,
+                    Returns::Last => Echo::Last,
+                    Returns::Dual => Echo::Both,
                 },
             };
             let before = block.points.len();
             match layout.mode {
-                ReturnMode::Dual => {
+                Returns::Dual => {
                     let even_block = group * stride(layout.mode);
                     maker.dual(&packet, even_block, &firing, block.points);
                 }
-                ReturnMode::Strongest | ReturnMode::Last => {
+                Returns::Strongest | Returns::Last => {
                     maker.single(&packet, group, &firing, block.points);
                 }
             }
@@ -443,11 +438,11 @@ impl Decoder {
 }
 
 /// Whether the factory bytes name another model or mode than the packet is decoded as. Bytes that name nothing do not.
-fn contradicts(packet: &DataPacket<&[u8]>, model: Model, mode: ReturnMode) -> bool {
+fn contradicts(packet: &DataPacket<&[u8]>, model: Model, mode: Returns) -> bool {
     let product = Product::from_code(packet.product_code());
     let says_other_model = !matches!(product, Product::Unknown(_)) && product != model.product();
     let says_other_mode =
-        ReturnMode::from_code(packet.return_mode_code()).is_some_and(|said| said != mode);
+        returns_of_code(packet.return_mode_code()).is_some_and(|said| said != mode);
     says_other_model || says_other_mode
 }
 

@@ -15,7 +15,7 @@ const START_NS: i64 = 1_772_359_200_000_000_000;
 struct Twin {
     time_ns: i64,
     rate_centideg_s: f64,
-    mode: ReturnMode,
+    mode: Returns,
     product: Product,
     window: Option<(u16, u16)>,
 }
@@ -25,7 +25,7 @@ impl Twin {
         Self {
             time_ns: first_us * 1000,
             rate_centideg_s: 360_000.0,
-            mode: ReturnMode::Strongest,
+            mode: Returns::Strongest,
             product: Product::Vlp32c,
             window: None,
         }
@@ -38,7 +38,7 @@ impl Twin {
     fn packet(&mut self) -> Packet {
         let mut packet =
             DataPacket::init(vec![0; DATA_PACKET_LEN], self.product, self.mode).unwrap();
-        let stride = if self.mode == ReturnMode::Dual { 2 } else { 1 };
+        let stride = if self.mode == Returns::Dual { 2 } else { 1 };
         let mut start_ns = None;
         for block in 0..12 {
             if block > 0 && block % stride == 0 {
@@ -101,7 +101,7 @@ fn our_vectors_decode_to_every_listed_point() {
     ];
     for (vector, bytes) in vectors.as_array().unwrap().iter().zip(bytes) {
         let packet = DataPacket::new(bytes).unwrap();
-        let mode = ReturnMode::from_code(packet.return_mode_code()).unwrap();
+        let mode = returns_of_code(packet.return_mode_code()).unwrap();
         let layout = PacketLayout::new(&packet, Model::Vlp32c, mode);
         let hits: Vec<_> = crate::velodyne::returns(&packet, &layout).collect();
         let expected = vector["points"].as_array().unwrap();
@@ -303,9 +303,9 @@ fn a_field_of_view_window_loses_nothing_and_times_both_sides() {
 fn a_change_of_mode_or_model_ends_the_scan() {
     let mut twin = Twin::new(0);
     let mut packets = twin.packets(40);
-    twin.mode = ReturnMode::Dual;
+    twin.mode = Returns::Dual;
     packets.extend(twin.packets(40));
-    twin.mode = ReturnMode::Last;
+    twin.mode = Returns::Last;
     packets.extend(twin.packets(40));
     let run = run(DecoderConfig::default(), &packets);
     let sizes: Vec<usize> = run.scans.iter().map(|s| s.sample.points.len()).collect();
@@ -347,7 +347,7 @@ fn other_sensors_are_refused_by_name() {
     let mut modeless = twin.packet();
     modeless.bytes[1204] = 0;
     assert!(named(ModelChoice::FromPackets, &modeless).contains("0x00"));
-    let forced = ModelChoice::Force(Model::Vlp16, ReturnMode::Last);
+    let forced = ModelChoice::Force(Model::Vlp16, Returns::Last);
     assert_eq!(
         run(
             DecoderConfig {
@@ -411,7 +411,7 @@ fn random_and_mutated_packets_never_panic() {
     };
     let mut decoder = Decoder::new(DecoderConfig::default());
     let mut forced = Decoder::new(DecoderConfig {
-        model: ModelChoice::Force(Model::Hdl32e, ReturnMode::Dual),
+        model: ModelChoice::Force(Model::Hdl32e, Returns::Dual),
         cut_azimuth_centideg: u16::MAX,
         optical_offset: OpticalOffset::Applied,
     });

@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 
 use serde_json::{Value, json};
 
-use super::wire::{PpsStatus, ReturnMode};
+use super::wire::{PpsStatus, Returns};
 
 /// Slowest and fastest motor, revolutions per minute (VLP-32C 63-9325 p. 41), and the step between.
 const RPM: std::ops::RangeInclusive<u16> = 300..=1200;
@@ -18,7 +18,7 @@ pub struct Settings {
     /// Whether the lasers fire.
     pub laser: Switch,
     /// Which echoes are sent.
-    pub returns: ReturnMode,
+    pub returns: Returns,
     /// Motor, revolutions per minute.
     pub rpm: u16,
     /// Sector in which the sensor fires.
@@ -72,7 +72,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             laser: Switch::On,
-            returns: ReturnMode::Strongest,
+            returns: Returns::Strongest,
             rpm: 600,
             field_of_view: FieldOfView {
                 start_deg: 0,
@@ -97,7 +97,7 @@ pub enum Setting {
     /// Switch the lasers.
     Laser(Switch),
     /// Choose the echoes.
-    Returns(ReturnMode),
+    Returns(Returns),
     /// Set the motor, revolutions per minute: 300 to 1200 in steps of 60.
     Rpm(u16),
     /// Set the sector.
@@ -394,16 +394,16 @@ fn switch(field: &'static str, value: &str) -> Result<Switch, SettingsError> {
     }
 }
 
-fn returns_name(mode: ReturnMode) -> &'static str {
+fn returns_name(mode: Returns) -> &'static str {
     match mode {
-        ReturnMode::Strongest => "Strongest",
-        ReturnMode::Last => "Last",
-        ReturnMode::Dual => "Dual",
+        Returns::Strongest => "Strongest",
+        Returns::Last => "Last",
+        Returns::Dual => "Dual",
     }
 }
 
-fn returns_mode(value: &str) -> Result<ReturnMode, SettingsError> {
-    [ReturnMode::Strongest, ReturnMode::Last, ReturnMode::Dual]
+fn returns_mode(value: &str) -> Result<Returns, SettingsError> {
+    [Returns::Strongest, Returns::Last, Returns::Dual]
         .into_iter()
         .find(|mode| returns_name(*mode).eq_ignore_ascii_case(value))
         .ok_or_else(|| error("returns", value))

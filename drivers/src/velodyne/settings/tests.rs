@@ -4,7 +4,7 @@ use crate::test_random::Random;
 fn all() -> [Setting; 6] {
     [
         Setting::Laser(Switch::Off),
-        Setting::Returns(ReturnMode::Dual),
+        Setting::Returns(Returns::Dual),
         Setting::Rpm(1200),
         Setting::FieldOfView(FieldOfView {
             start_deg: 270,

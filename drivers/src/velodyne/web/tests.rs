@@ -6,7 +6,7 @@ use std::thread::{self, JoinHandle};
 use super::*;
 use crate::transport::http::HttpListener;
 use crate::velodyne::settings::{Destination, FieldOfView, PhaseLock, Switch};
-use crate::velodyne::wire::{PpsStatus, ReturnMode};
+use crate::velodyne::wire::{PpsStatus, Returns};
 
 /// A sensor's web server on a port of its own.
 struct Server {
@@ -64,7 +64,7 @@ impl Drop for Server {
 fn changes() -> [Setting; 5] {
     [
         Setting::Rpm(1200),
-        Setting::Returns(ReturnMode::Dual),
+        Setting::Returns(Returns::Dual),
         Setting::FieldOfView(FieldOfView {
             start_deg: 270,
             end_deg: 90,
@@ -102,7 +102,7 @@ fn settings_are_written_and_read_back_one_by_one() {
     page.apply(&changes()[1..2]).unwrap();
     page.reset().unwrap();
     let kept = page.settings().unwrap();
-    assert_eq!((kept.rpm, kept.returns), (1200, ReturnMode::Strongest));
+    assert_eq!((kept.rpm, kept.returns), (1200, Returns::Strongest));
 }
 
 #[test]

@@ -2,9 +2,9 @@
 
 use crate::WireError;
 
-use super::model::Product;
-pub use super::model::{BLOCKS, CHANNELS, ReturnMode};
-pub use crate::lidar::TURN_CENTIDEG;
+pub use super::model::{BLOCKS, CHANNELS, returns_of_code};
+use super::model::{Product, code_of_returns};
+pub use crate::lidar::{Returns, TURN_CENTIDEG};
 
 /// Payload length of a data packet (UDP port 2368 by default).
 pub const DATA_PACKET_LEN: usize = 1206;
@@ -100,7 +100,7 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
         u32_at(self.bytes(), TIMESTAMP)
     }
 
-    /// The return mode byte; see [`ReturnMode::from_code`].
+    /// The return mode byte; see [`returns_of_code`].
     pub fn return_mode_code(&self) -> u8 {
         self.bytes()[RETURN_MODE]
     }
@@ -118,14 +118,14 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
 
 impl<T: AsRef<[u8]> + AsMut<[u8]>> DataPacket<T> {
     /// Clears the bytes and writes what every packet has: flags, product and return mode.
-    pub fn init(mut bytes: T, product: Product, mode: ReturnMode) -> Result<Self, WireError> {
+    pub fn init(mut bytes: T, product: Product, mode: Returns) -> Result<Self, WireError> {
         let b = bytes.as_mut();
         check_length(b, DATA_PACKET_LEN)?;
         b.fill(0);
         for block in 0..BLOCKS {
             put(b, block * BLOCK_LEN, &FLAG_UPPER.to_le_bytes());
         }
-        b[RETURN_MODE] = mode.code();
+        b[RETURN_MODE] = code_of_returns(mode);
         b[PRODUCT] = product.code();
         Ok(Self(bytes))
     }

@@ -11,8 +11,8 @@ fn data_packet_is_read_and_written_byte_by_byte() {
     let packet = DataPacket::new(&bytes[..]).unwrap();
     assert_eq!(packet.timestamp_us(), 3_599_999_700);
     assert_eq!(
-        ReturnMode::from_code(packet.return_mode_code()),
-        Some(ReturnMode::Strongest)
+        returns_of_code(packet.return_mode_code()),
+        Some(Returns::Strongest)
     );
     assert_eq!(Product::from_code(packet.product_code()), Product::Vlp32c);
     assert_eq!(identify(bytes), Ok(Product::Vlp32c));
@@ -24,12 +24,8 @@ fn data_packet_is_read_and_written_byte_by_byte() {
         ]
     );
 
-    let mut written = DataPacket::init(
-        [0xAA; DATA_PACKET_LEN],
-        Product::Vlp32c,
-        ReturnMode::Strongest,
-    )
-    .unwrap();
+    let mut written =
+        DataPacket::init([0xAA; DATA_PACKET_LEN], Product::Vlp32c, Returns::Strongest).unwrap();
     for block in 0..BLOCKS {
         written.set_azimuth_centideg(block, packet.azimuth_centideg(block));
         for channel in 0..CHANNELS {

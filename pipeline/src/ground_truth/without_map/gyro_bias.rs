@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use lsfb_geometry::{Matrix3, Vector3};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 
 use super::sights::Tracks;
 use crate::Error;

@@ -4,14 +4,16 @@
 //! over the same time it shows a sign, a unit or an order of axes that is wrong: the images' turns are then the gyroscope's times a matrix
 //! that is far from one. A search for a beginning tries such a walk at every place in vain.
 
-use lsfb_geometry::{Matrix3, UnitQuaternion, Vector3, so3};
+use lsfb_geometry::{UnitQuaternion, so3};
 use lsfb_perception::image::{Track, relative_rotation};
-use lsfb_perception::statistics::median;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SMatrix;
 use rayon::prelude::*;
 
 use super::TrackedWalk;
 use crate::Error;
+use crate::ground_truth::sensor_axes::{
+    Measured, Unknowns, as_it_is, fit, usually_left, wrong_axis,
+};
 use crate::preintegration::{ImuBias, PreintegratedImu};
 
 /// Pairs of images that are compared at most, and at least.
@@ -21,24 +23,11 @@ const FEWEST_PAIRS: usize = 12;
 const APART_SECS: f64 = 0.35;
 /// Error of a turn by images that is expected, radians: it limits what a pair counts.
 const TURN_SIGMA_RAD: f64 = 2e-3;
-/// Standard deviation of the matrix about one, so loose that it only matters for an axis about which nothing turns.
-const LOOSE: f64 = 1.0;
-/// Pairs farther off than so many medians count less.
-const ROBUST_MEDIANS: f64 = 3.0;
-const ROUNDS: usize = 8;
+/// Standard deviation of the gyroscope's bias, so loose that the images tell it, rad/s.
+const BIAS_SIGMA_RAD_S: f64 = 1.0;
 /// The matrix explains the images where what is left of their turns is this share of what is left without it, and this share of them.
 const EXPLAINED: f64 = 0.4;
 const LEFT_OF_ALL: f64 = 0.3;
-/// An axis is wrong where the images turn by so much less or more, or otherwise, than the gyroscope: far beyond what a camera that is
-/// turned against its rig file does.
-const WRONG: f64 = 0.6;
-
-/// Turns between two images in the rig's frame, radians.
-struct Turn {
-    gyro: Vector3<f64>,
-    images: Vector3<f64>,
-    secs: f64,
-}
 
 /// [`Error::GyroContradicts`] where signs, units or axes of the gyroscope are not those of the images.
 pub(super) fn check_turns(walk: &TrackedWalk) -> Result<(), Error> {
@@ -46,62 +35,23 @@ pub(super) fn check_turns(walk: &TrackedWalk) -> Result<(), Error> {
     if turns.len() < FEWEST_PAIRS {
         return Ok(());
     }
-    let Some(images_by_gyro) = fit(&turns) else {
-        return Ok(());
-    };
-    let off = images_by_gyro - Matrix3::identity();
-    let worst = (0..3).max_by(|a, b| off.column(*a).norm().total_cmp(&off.column(*b).norm()));
-    match worst {
-        Some(axis) if off.column(axis).norm() > WRONG => Err(Error::GyroContradicts {
-            axis: ['x', 'y', 'z'][axis],
-            images: images_by_gyro.column(axis).into_owned().into(),
-        }),
-        _ => Ok(()),
+    match explaining(&turns).as_ref().and_then(wrong_axis) {
+        Some((axis, images)) => Err(Error::GyroContradicts { axis, images }),
+        None => Ok(()),
     }
 }
 
 /// The matrix that makes the images' turns of the gyroscope's; `None` where it explains them no better than none.
-fn fit(turns: &[Turn]) -> Option<Matrix3<f64>> {
-    type Unknowns = SVector<f64, 12>;
-    let mut weights = vec![1.0; turns.len()];
-    let (mut by_gyro, mut bias) = (Matrix3::identity(), Vector3::zeros());
-    let left = |turn: &Turn, by: &Matrix3<f64>, bias: &Vector3<f64>| {
-        (turn.images - by * turn.gyro - bias * turn.secs).norm()
-    };
-    for _ in 0..ROUNDS {
-        let mut information = SMatrix::<f64, 12, 12>::identity() * LOOSE.powi(-2);
-        let mut right = Unknowns::zeros();
-        for (row, value) in Matrix3::<f64>::identity().transpose().iter().enumerate() {
-            right[row] = value * LOOSE.powi(-2);
-        }
-        for (turn, weight) in turns.iter().zip(&weights) {
-            for axis in 0..3 {
-                let mut by = Unknowns::zeros();
-                by.fixed_rows_mut::<3>(3 * axis).copy_from(&turn.gyro);
-                by[9 + axis] = turn.secs;
-                let weight = weight * TURN_SIGMA_RAD.powi(-2);
-                information += by * by.transpose() * weight;
-                right += by * (turn.images[axis] * weight);
-            }
-        }
-        let found = information.cholesky()?.solve(&right);
-        by_gyro = Matrix3::from_fn(|row, column| found[3 * row + column]);
-        bias = found.fixed_rows::<3>(9).into_owned();
-        let sizes: Vec<f64> = turns.iter().map(|t| left(t, &by_gyro, &bias)).collect();
-        let usual = median(sizes.clone())?.max(f64::EPSILON);
-        let share = |size: &f64| (ROBUST_MEDIANS * usual / size.max(f64::EPSILON)).min(1.0);
-        weights = sizes.iter().map(share).collect();
-    }
-    let usual = |by: &Matrix3<f64>, bias: &Vector3<f64>| {
-        median(turns.iter().map(|t| left(t, by, bias)).collect())
-    };
-    let explained = usual(&by_gyro, &bias)?;
-    let as_it_is = usual(&Matrix3::identity(), &Vector3::zeros())?;
-    let all = usual(&Matrix3::zeros(), &Vector3::zeros())?;
-    (explained < EXPLAINED * as_it_is && explained < LEFT_OF_ALL * all).then_some(by_gyro)
+fn explaining(turns: &[Measured]) -> Option<Unknowns> {
+    let found = fit(turns, [TURN_SIGMA_RAD, BIAS_SIGMA_RAD_S])?;
+    let explained = usually_left(turns, &found)?;
+    let without = usually_left(turns, &as_it_is())?;
+    let all = usually_left(turns, &Unknowns::zeros())?;
+    (explained < EXPLAINED * without && explained < LEFT_OF_ALL * all).then_some(found)
 }
 
-fn turns(walk: &TrackedWalk) -> Vec<Turn> {
+/// Turns between two images in the rig's frame, radians, with how they follow from the gyroscope's.
+fn turns(walk: &TrackedWalk) -> Vec<Measured> {
     let frames = &walk.frames;
     let step = (frames.len() / MOST_PAIRS).max(1);
     let firsts: Vec<usize> = (0..frames.len().saturating_sub(1)).step_by(step).collect();
@@ -112,7 +62,7 @@ fn turns(walk: &TrackedWalk) -> Vec<Turn> {
 }
 
 /// Of a camera from one frame to the next.
-fn turn(walk: &TrackedWalk, first: usize, camera: usize) -> Option<Turn> {
+fn turn(walk: &TrackedWalk, first: usize, camera: usize) -> Option<Measured> {
     let (a, b) = (&walk.frames[first], &walk.frames[first + 1]);
     let secs = b.time.secs_since(a.time);
     if secs > APART_SECS {
@@ -144,9 +94,16 @@ fn turn(walk: &TrackedWalk, first: usize, camera: usize) -> Option<Turn> {
     let starts = [UnitQuaternion::identity(), as_gyro, as_gyro.inverse()];
     let found = relative_rotation(&tracks, &starts)?;
     let a_from_b = rig_from_camera * found.b_from_a.inverse() * rig_from_camera.inverse();
-    Some(Turn {
-        gyro: so3::log(&between.rotation),
-        images: so3::log(&a_from_b),
-        secs,
+    let gyro = so3::log(&between.rotation);
+    let mut by_unknowns = SMatrix::<f64, 3, 12>::zeros();
+    for axis in 0..3 {
+        for (k, turned) in gyro.iter().enumerate() {
+            by_unknowns[(axis, 3 * axis + k)] = *turned;
+        }
+        by_unknowns[(axis, 9 + axis)] = secs;
+    }
+    Some(Measured {
+        value: so3::log(&a_from_b),
+        by_unknowns,
     })
 }

@@ -13,12 +13,13 @@ use std::f64::consts::TAU;
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Matrix3, Se3, Vector3, Vector6};
 use lsfb_perception::projection::moved_by_pose;
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6};
 
 use super::{FEWEST, TELLING};
 
 /// Steps of the fit: the first transform is right to how far the map is bent.
-const STEPS: usize = 5;
+const STEPS: u32 = 5;
 /// Factors by which a map may be worse known than it says: powers of this.
 const FACTOR_STEP: f64 = 1.25;
 const FACTOR_STEPS: i32 = 30;
@@ -191,33 +192,37 @@ impl Network<'_> {
     fn fit(&self, holding: &[usize]) -> Option<Fit> {
         let chosen = || holding.iter().map(|k| &self.marks[*k]);
         let (world, site): (Vec<_>, Vec<_>) = chosen().map(|m| (m.in_world, m.in_site)).unzip();
-        let mut site_from_world = umeyama(&world, &site, Scale::Fixed)?.target_from_source;
+        let start = umeyama(&world, &site, Scale::Fixed)?.target_from_source;
         let mut last = None;
-        for _ in 0..STEPS {
-            let spread = self.spread(holding, &site_from_world)?;
+        let terms = |site_from_world: &Se3| {
+            let spread = self.spread(holding, site_from_world)?;
             let log_determinant = 2.0 * spread.l_dirty().diagonal().map(f64::ln).sum();
             let inverse = spread.inverse();
             let mut by_site = DMatrix::zeros(3 * holding.len(), 6);
             let mut residuals = DVector::zeros(3 * holding.len());
             for (k, mark) in chosen().enumerate() {
-                let by = moved_by_pose(&site_from_world, &mark.in_world);
+                let by = moved_by_pose(site_from_world, &mark.in_world);
                 by_site.fixed_view_mut::<3, 6>(3 * k, 0).copy_from(&by);
-                let off = site_from_world * mark.in_world - mark.in_site;
+                let off = *site_from_world * mark.in_world - mark.in_site;
                 residuals.fixed_rows_mut::<3>(3 * k).copy_from(&off);
             }
             let weighted = &inverse * &by_site;
             let normal: Matrix6<f64> = by_site.tr_mul(&weighted).fixed_view::<6, 6>(0, 0).into();
-            let normal = normal.cholesky()?;
+            let covariance = normal.cholesky()?.inverse();
             let right: Vector6<f64> = weighted.tr_mul(&residuals).fixed_rows::<6>(0).into();
-            let inner = DMatrix::from_column_slice(6, 6, normal.inverse().as_slice());
+            let inner = DMatrix::from_column_slice(6, 6, covariance.as_slice());
             last = Some(Fit {
-                site_from_world,
+                site_from_world: *site_from_world,
                 residuals,
                 log_determinant,
                 weights: inverse - &weighted * inner * weighted.transpose(),
             });
-            site_from_world = site_from_world.retract(&-normal.solve(&right));
-        }
+            Some(NormalEquations {
+                information: normal,
+                gradient: right,
+            })
+        };
+        minimise(start, STEPS, terms, |_| Next::Iterate)?;
         last
     }
 

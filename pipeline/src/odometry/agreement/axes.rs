@@ -5,7 +5,7 @@
 //! different for each. A carrier that hardly moves does not tell, and then all fit alike. An IMU that hangs upside down is right as long as its rig says so.
 
 use lsfb_geometry::{Matrix6, Vector3, Vector6};
-use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 use nalgebra::Matrix3x6;
 
 use super::triples::Triple;
@@ -27,7 +27,7 @@ const SHARED: f64 = 6.0;
 const BIAS_M_S2: f64 = 0.2;
 /// Gravity beforehand, m/s²: nothing is known.
 const GRAVITY_M_S2: f64 = 1e3;
-const ROUNDS: usize = 8;
+const ROUNDS: u32 = 8;
 /// Forces that differ by less are the same, m/s².
 const OTHER_M_S2: f64 = 0.1;
 
@@ -222,9 +222,9 @@ fn fit(triples: &[&Triple], arrangement: &Arrangement, sigma_m_s2: Option<f64>) 
     let (b, g) = (BIAS_M_S2.powi(-2), GRAVITY_M_S2.powi(-2));
     let prior = Matrix6::from_diagonal(&Vector6::new(b, b, b, g, g, g));
     let mean: Vector3<f64> = forces.iter().sum::<Vector3<f64>>() / forces.len().max(1) as f64;
-    let mut found = Vector6::new(0.0, 0.0, 0.0, -mean.x, -mean.y, -mean.z);
-    for _ in 0..ROUNDS {
-        let residuals = left(&found);
+    let start = Vector6::new(0.0, 0.0, 0.0, -mean.x, -mean.y, -mean.z);
+    let terms = |found: &Vector6<f64>| {
+        let residuals = left(found);
         let sigma = sigma_m_s2.unwrap_or_else(|| scatter(&residuals).max(LEAST_SIGMA_M_S2));
         let mut equations = NormalEquations::<6>::default();
         for (triple, r) in triples.iter().zip(&residuals) {
@@ -237,9 +237,10 @@ fn fit(triples: &[&Triple], arrangement: &Arrangement, sigma_m_s2: Option<f64>) 
                 .copy_from(&triple.seen);
             equations.add_block(r, &jacobian, weight(r, sigma) / SHARED);
         }
-        equations.add_prior(&found, &prior);
-        found += equations.step()?;
-    }
+        equations.add_prior(found, &prior);
+        Some(equations)
+    };
+    let found = minimise(start, ROUNDS, terms, |_| Next::Iterate)?.value;
     Some(Fit {
         bias: found.fixed_rows::<3>(0).into(),
         residuals: left(&found),

@@ -6,7 +6,7 @@
 //! it too little, never too much. About an axis that all turns share nothing is learnt, and then nothing is said.
 
 use lsfb_geometry::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6, so3};
-use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 use nalgebra::Matrix3x6;
 
 use super::turns::{MIN_SPANS, Turn, scatter, weight};
@@ -18,7 +18,7 @@ const PRIOR_RAD_S: f64 = 0.05;
 const LEAST_SIGMA_RAD: f64 = 5e-4;
 /// A start far from the rig's must leave less than this share of the squares.
 const FAR_BETTER: f64 = 0.25;
-const ITERATIONS: usize = 12;
+const ITERATIONS: u32 = 12;
 /// What is said: more standard deviations than this.
 const SIGMAS: f64 = 4.0;
 
@@ -36,17 +36,14 @@ pub(super) fn rotation_off(turns: &[Turn], least_rad: f64) -> Option<RotationOff
     if turns.len() < MIN_SPANS {
         return None;
     }
-    let (mut rotation, mut bias) = (start_rotation(turns), Vector3::zeros());
-    let mut information = None;
-    for _ in 0..ITERATIONS {
-        let equations = equations(turns, &rotation, &bias);
-        let step = equations.step()?;
-        rotation = so3::retract(&rotation, &step.fixed_rows::<3>(0).into());
-        bias += step.fixed_rows::<3>(3);
-        information = Some(equations.information);
-    }
-    let covariance = information?.cholesky()?.inverse();
-    let off = so3::log(&rotation);
+    let found = minimise(
+        (start_rotation(turns), Vector3::zeros()),
+        ITERATIONS,
+        |(rotation, bias)| Some(equations(turns, rotation, bias)),
+        |_| Next::Iterate,
+    )?;
+    let covariance = found.information.cholesky()?.inverse();
+    let off = so3::log(&found.value.0);
     let off_rad = off.norm();
     let along = off.try_normalize(1e-9)?;
     let of_rotation: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into();

@@ -10,7 +10,7 @@
 //! poses of the trajectory are a few times smoother, and over more than a second they follow the scans: they tell percents.
 
 use lsfb_geometry::Vector3;
-use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_solver::gauss_newton::{Next, NormalEquations, minimise};
 use nalgebra::{SMatrix, SVector};
 
 use super::triples::Triple;
@@ -18,7 +18,7 @@ use super::turns::{scatter, weight};
 
 /// Fewer tell nothing.
 const MIN_TRIPLES: usize = 20;
-const ROUNDS: usize = 12;
+const ROUNDS: u32 = 12;
 /// Gravity beforehand: what it may be in clouds in millimetres, m/s².
 const PRIOR_M_S2: f64 = 1e5;
 const PRIOR_SCALE: f64 = 1e4;
@@ -109,16 +109,12 @@ impl Question {
         if triples.len() < MIN_TRIPLES {
             return None;
         }
-        let mut found = Vector7::zeros();
-        found[0] = 1.0;
-        let mut information = None;
-        for _ in 0..ROUNDS {
-            let equations = self.equations(&triples, &found);
-            found += equations.step()?;
-            information = Some(equations.information);
-        }
-        let sigma = information?.cholesky()?.inverse()[(0, 0)].sqrt();
-        let scale = found[0];
+        let mut start = Vector7::zeros();
+        start[0] = 1.0;
+        let equations = |found: &Vector7| Some(self.equations(&triples, found));
+        let found = minimise(start, ROUNDS, equations, |_| Next::Iterate)?;
+        let sigma = found.information.cholesky()?.inverse()[(0, 0)].sqrt();
+        let scale = found.value[0];
         let is_known = sigma < KNOWN * scale.abs().max(1.0);
         let is_off = (scale - 1.0).abs() > self.least_off.max(self.sigmas * sigma);
         (is_known && is_off).then_some(ScaleOff { scale, sigma })

@@ -65,7 +65,7 @@ pub(super) fn clock(root: &Path, services: &TimeServices) -> Finding {
     )
 }
 
-/// Velodyne sensors send to 192.168.1.0/24 unless told otherwise.
+/// LiDARs are in 192.168.1.0/24 unless told otherwise: Velodyne's and Hesai's at 192.168.1.201.
 pub(super) fn lidar() -> Finding {
     let name = "LiDAR network";
     let addresses = nix::ifaddrs::getifaddrs().into_iter().flatten();
@@ -82,7 +82,7 @@ pub(super) fn lidar() -> Finding {
         None => check(
             name,
             Verdict::Warn,
-            "no address in 192.168.1.0/24, where a Velodyne sends to",
+            "no address in 192.168.1.0/24, where a LiDAR sends to",
             "sudo ip address add 192.168.1.100/24 dev <interface of the LiDAR>",
         ),
     }

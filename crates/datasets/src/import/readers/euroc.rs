@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, Se3, Vector3, so3};
-use lsfb_types::{ImuSample, Progress, ProgressFn};
+use lsfb_types::{ImuSample, Progress, ProgressFn, StampUnit};
 use nalgebra::Matrix3;
 use serde::Deserialize;
 
@@ -16,7 +16,6 @@ use crate::import::ImportConfig;
 use crate::import::collected::Collected;
 use crate::import::format::euroc_folder;
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit;
 use crate::import::table::{Row, Table};
 
 /// Columns of `imu0/data.csv`: stamp, angular velocity, specific force.

@@ -6,13 +6,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use lsfb_recording::message::{BleAdvert, Remark, WifiReading, WifiScan};
+use lsfb_types::StampUnit::Milliseconds;
 use lsfb_types::Timestamp;
 
 use super::TESLA_PER_MICROTESLA;
 use crate::Error;
 use crate::import::collected::{Collected, StreamId};
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit::Milliseconds;
 use crate::import::stream::Record;
 use crate::import::table::{Row, Table};
 

@@ -5,13 +5,13 @@ use std::path::Path;
 
 use lsfb_geometry::{Se3, Vector3};
 use lsfb_recording::message::{GnssFix, GnssReading};
+use lsfb_types::StampUnit::Seconds;
 use nalgebra::{Quaternion, UnitQuaternion};
 
 use super::{STANDARD_GRAVITY_M_S2, TESLA_PER_MICROTESLA, frame};
 use crate::Error;
 use crate::import::collected::{Collected, StreamId};
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit::Seconds;
 use crate::import::table::{Row, find};
 
 /// Names that a video may have beside the texts.

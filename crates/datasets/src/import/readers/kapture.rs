@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_recording::message::{BleAdvert, WifiReading, WifiScan};
-use lsfb_types::Timestamp;
+use lsfb_types::{StampUnit, Timestamp};
 
 use super::ios_logger::rotation;
 use super::{image_file, topic_name};
@@ -17,7 +17,7 @@ use crate::Error;
 use crate::import::ImportConfig;
 use crate::import::collected::{Collected, StreamId};
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit;
+use crate::import::stamp::unit_of_unix_stamp;
 use crate::import::stream::Record;
 use crate::import::table::{Row, Table};
 
@@ -116,7 +116,7 @@ impl Reader<'_> {
         let unit = self
             .config
             .stamp_unit
-            .or_else(|| StampUnit::of_unix_stamp(&first));
+            .or_else(|| unit_of_unix_stamp(&first));
         let unit = unit.ok_or_else(|| Error::Recorded {
             path: path.to_owned(),
             problem: format!(

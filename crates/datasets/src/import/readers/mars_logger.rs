@@ -6,13 +6,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use lsfb_types::ImuSample;
+use lsfb_types::{ImuSample, StampUnit};
 
 use super::{STANDARD_GRAVITY_M_S2, frame};
 use crate::Error;
 use crate::import::collected::Collected;
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit;
 use crate::import::table::{Row, Table, find};
 
 /// Videos of Android and of iOS.

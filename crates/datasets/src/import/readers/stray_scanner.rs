@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, Vector3};
+use lsfb_types::StampUnit::Seconds;
 use lsfb_types::{ImuSample, median};
 
 use super::ios_logger::rotation;
@@ -13,7 +14,6 @@ use crate::Error;
 use crate::import::ImportConfig;
 use crate::import::collected::Collected;
 use crate::import::payload::{Kind, Payload};
-use crate::import::stamp::StampUnit::Seconds;
 use crate::import::table::{Row, Table, find};
 use crate::import::video::Frames;
 

@@ -1,14 +1,14 @@
-use lsfb_drivers::velodyne::model::Model;
-use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::lidar::Returns;
+use lsfb_drivers::velodyne::model::{Model, code_of_returns};
 use lsfb_drivers::velodyne::{Decoder, PacketLayout, returns};
 use lsfb_types::Echo;
 use lsfb_types::{Packet, no_progress};
 
 use super::*;
-use crate::{Device, LidarModel, Place, SimConfig};
+use crate::{Device, Place, SimConfig};
 
 /// A scanner in an office with rooms behind glass.
-fn office(model: LidarModel, returns: ReturnMode) -> Simulation {
+fn office(model: Model, returns: Returns) -> Simulation {
     let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
     config.texel_m = 0.1;
     (config.scan.duration_s, config.glasses.duration_s) = (12.0, 1.0);
@@ -31,43 +31,22 @@ fn packets(simulation: &Simulation) -> Vec<[u8; DATA_PACKET_LEN]> {
 
 #[test]
 fn the_driver_reads_every_model_and_return_mode() {
-    for (model, returns, product, mode) in [
-        (
-            LidarModel::Vlp32c,
-            ReturnMode::Dual,
-            Model::Vlp32c,
-            ReturnMode::Dual,
-        ),
-        (
-            LidarModel::Vlp32c,
-            ReturnMode::Last,
-            Model::Vlp32c,
-            ReturnMode::Last,
-        ),
-        (
-            LidarModel::Vlp16,
-            ReturnMode::Strongest,
-            Model::Vlp16,
-            ReturnMode::Strongest,
-        ),
-        (
-            LidarModel::Vlp16,
-            ReturnMode::Dual,
-            Model::Vlp16,
-            ReturnMode::Dual,
-        ),
+    for (model, mode) in [
+        (Model::Vlp32c, Returns::Dual),
+        (Model::Vlp32c, Returns::Last),
+        (Model::Vlp16, Returns::Strongest),
+        (Model::Vlp16, Returns::Dual),
     ] {
-        let simulation = office(model, returns);
+        let simulation = office(model, mode);
         let rig = simulation.scan();
         let mut decoder = Decoder::new(Default::default());
         let mut scans = Vec::new();
         for (k, bytes) in packets(&simulation).iter().enumerate() {
             let packet = DataPacket::new(bytes).expect("a data packet");
-            assert_eq!(packet.product_code(), product.product().code());
-            assert_eq!(packet.return_mode_code(), mode.code());
+            assert_eq!(packet.product_code(), model.product().code());
+            assert_eq!(packet.return_mode_code(), code_of_returns(mode));
             // Far more than what arrives late would be allowed to.
-            let arrival =
-                Timestamp::from_nanos(k as i64 * i64::from(product.packet_period_ns(mode)));
+            let arrival = Timestamp::from_nanos(k as i64 * i64::from(model.packet_period_ns(mode)));
             let bytes = bytes.to_vec();
             scans.extend(decoder.push(&Packet { arrival, bytes }).expect("good"));
         }
@@ -102,7 +81,7 @@ fn norm(v: [f32; 3]) -> f32 {
 
 #[test]
 fn two_returns_are_the_last_and_the_strongest_and_one_is_sent_twice() {
-    let simulation = office(LidarModel::Vlp32c, ReturnMode::Dual);
+    let simulation = office(Model::Vlp32c, Returns::Dual);
     let separation_m = simulation.config().lidar.separation_m;
     let (mut both, mut two, mut shots) = (0, 0, 0);
     for bytes in packets(&simulation) {
@@ -130,7 +109,7 @@ fn two_returns_are_the_last_and_the_strongest_and_one_is_sent_twice() {
                 two += 1;
             }
         }
-        let layout = PacketLayout::new(&packet, Model::Vlp32c, ReturnMode::Dual);
+        let layout = PacketLayout::new(&packet, Model::Vlp32c, Returns::Dual);
         assert!(returns(&packet, &layout).all(|r| r.echo != Echo::Strongest || r.block % 2 == 1));
     }
     assert!(

@@ -1,13 +1,13 @@
-//! The datagrams of a Velodyne sensor, as they were received.
+//! The datagrams of a LiDAR, as they were received.
 
 use std::path::Path;
 use std::time::Duration;
 
+use lsfb_drivers::any_lidar::{device_ns, factory_ports, is_beside_data};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_drivers::transport::udp_sender::UdpSender;
-use lsfb_drivers::velodyne::wire::{DataPacket, POSITION_PACKET_LEN};
 use lsfb_recording::{LIDAR_POSITION, RecordedPacket, Recording};
 use lsfb_types::Timestamp;
 
@@ -19,11 +19,9 @@ use crate::device::session::SessionReport;
 
 pub(super) const DATA_TOPIC: &str = "/lidar/packets";
 pub(super) const POSITION_TOPIC: &str = "/lidar/position";
-/// Datagrams that no Velodyne sends, and that came to one of its ports.
+/// Datagrams that no LiDAR sends, and that came to one of its ports.
 pub(super) const STRANGE_TOPIC: &str = "/raw/lidar";
-/// Ports of data and position packets.
-const PORTS: [u16; 2] = [2368, 8308];
-const HOUR_US: i64 = 3_600_000_000;
+const HOUR_NS: i64 = 3_600_000_000_000;
 /// How often a host that is not there yet is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -35,7 +33,7 @@ pub(super) fn capture(path: &Path) -> Result<Box<dyn PacketSource>, Error> {
     Ok(if database {
         Box::new(Rosbag2Source::open(path)?)
     } else {
-        Box::new(PcapSource::open(path, &PORTS)?)
+        Box::new(PcapSource::open(path, &factory_ports())?)
     })
 }
 
@@ -100,7 +98,7 @@ impl LidarPlayer {
             if began.is_none() {
                 return Err(Error::Source {
                     path: play.path.clone(),
-                    problem: "no packet of a Velodyne sensor in it".to_owned(),
+                    problem: "no packet of a LiDAR in it".to_owned(),
                 });
             }
             base_ns = due_ns + PAUSE_NS;
@@ -166,7 +164,7 @@ impl LidarPlayer {
 
     fn send(&mut self, datagram: &[u8], clock: &SimClock) -> Result<(), Error> {
         self.host.wait_for_room(clock);
-        if datagram.len() == POSITION_PACKET_LEN {
+        if is_beside_data(datagram) {
             self.report.lidar_position_packets += 1;
             Ok(self.position.send(datagram)?)
         } else {
@@ -195,25 +193,76 @@ struct WithinRevolution {
 #[derive(Clone, Copy)]
 struct FirstPacket {
     time: Timestamp,
-    toh_us: i64,
+    toh_ns: i64,
 }
 
 impl WithinRevolution {
     fn time(&mut self, packet: &RecordedPacket) -> Timestamp {
-        let Ok(data) = DataPacket::new(packet.packet.bytes.as_slice()) else {
+        let Some(toh_ns) = device_ns(&packet.packet.bytes) else {
             return packet.time;
         };
-        let toh_us = i64::from(data.timestamp_us());
         let first = match self.first {
             Some(first) if first.time == packet.time => first,
             _ => *self.first.insert(FirstPacket {
                 time: packet.time,
-                toh_us,
+                toh_ns,
             }),
         };
-        let past_us = (toh_us - first.toh_us).rem_euclid(HOUR_US);
+        let past_ns = (toh_ns - first.toh_ns).rem_euclid(HOUR_NS);
         // A packet from before its revolution's first, out of order: it goes at once.
-        let past_us = if past_us > HOUR_US / 2 { 0 } else { past_us };
-        packet.time.plus_nanos(past_us * 1000)
+        let past_ns = if past_ns > HOUR_NS / 2 { 0 } else { past_ns };
+        packet.time.plus_nanos(past_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_drivers::hesai::Model;
+    use lsfb_drivers::hesai::wire::{Clock, DataPacket, ReturnMode};
+    use lsfb_types::Packet;
+
+    use super::*;
+
+    /// One XT32 packet, so many microseconds after a full second.
+    fn xt32(micros: u32) -> Vec<u8> {
+        let bytes = vec![0; Model::Xt32.layout().len + 4];
+        let mut packet =
+            DataPacket::init(bytes, Model::Xt32, ReturnMode::Strongest).expect("length");
+        packet.set_clock(&Clock {
+            date: [126, 3, 1],
+            time: [10, 59, 59],
+            micros,
+        });
+        packet.into_inner()
+    }
+
+    /// Those of another vendor than Velodyne all went out at once, a revolution at a time.
+    #[test]
+    fn packets_of_any_lidar_go_out_as_they_were_fired() {
+        let time = Timestamp::from_nanos(1_772_362_799_000_000_000);
+        let mut within = WithinRevolution::default();
+        // Over the end of the hour, and one that was late.
+        for (micros, past_us) in [
+            (999_600, 0),
+            (1_000_000, 400),
+            (999_200, 0),
+            (1_000_400, 800),
+        ] {
+            let bytes = xt32(micros);
+            assert!(!is_beside_data(&bytes));
+            let packet = RecordedPacket {
+                time,
+                kind: 0,
+                sequence: 0,
+                packet: Packet {
+                    arrival: time,
+                    bytes,
+                },
+            };
+            assert_eq!(within.time(&packet) - time, past_us * 1_000, "{micros}");
+        }
+        let about_gps = [&[0xFF, 0xEE][..], &[0; 510]].concat();
+        assert!(is_beside_data(&about_gps));
+        assert!(factory_ports().contains(&10110));
     }
 }

@@ -2,7 +2,7 @@
 
 use wide::f32x8;
 
-use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::lidar::Returns;
 
 use super::{LidarSim, Return};
 use crate::noise::{gaussian, hash, unit};
@@ -225,11 +225,11 @@ impl LidarSim {
         };
         let [strongest_heard, last_heard] = [strongest, last].map(|k| heard[k].1);
         match self.config.returns {
-            ReturnMode::Strongest => [strongest_heard, Return::default()],
-            ReturnMode::Last => [last_heard, Return::default()],
+            Returns::Strongest => [strongest_heard, Return::default()],
+            Returns::Last => [last_heard, Return::default()],
             // VLP-32C 63-9325 p. 57.
-            ReturnMode::Dual if strongest != last => [last_heard, strongest_heard],
-            ReturnMode::Dual => {
+            Returns::Dual if strongest != last => [last_heard, strongest_heard],
+            Returns::Dual => {
                 let second = brightest(Some(strongest)).unwrap_or(strongest);
                 [last_heard, heard[second].1]
             }

@@ -5,11 +5,12 @@ mod echo;
 use rayon::prelude::*;
 use wide::f32x8;
 
+use lsfb_drivers::lidar::Returns;
 use lsfb_drivers::velodyne::model::{Model, ModelTable};
-use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS, ReturnMode};
+use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS};
 use lsfb_geometry::{Se3, Vector3};
 
-use crate::config::{LidarConfig, LidarModel};
+use crate::config::LidarConfig;
 use crate::walk::Walk;
 use crate::world::crowd::Moment;
 use crate::world::{LANES, Origin, RayPacket, World};
@@ -43,7 +44,6 @@ pub struct FiringCycle {
 pub struct LidarSim {
     rig_from_lidar: Se3,
     config: LidarConfig,
-    model: Model,
     seed: u64,
 }
 
@@ -53,26 +53,22 @@ impl LidarSim {
         Self {
             rig_from_lidar,
             config: config.clone(),
-            model: match config.model {
-                LidarModel::Vlp32c => Model::Vlp32c,
-                LidarModel::Vlp16 => Model::Vlp16,
-            },
             seed,
         }
     }
 
     /// Which sensor it is.
     pub fn model(&self) -> Model {
-        self.model
+        self.config.model
     }
 
     /// Which echoes it sends.
-    pub fn return_mode(&self) -> ReturnMode {
+    pub fn return_mode(&self) -> Returns {
         self.config.returns
     }
 
     fn table(&self) -> &'static ModelTable {
-        self.model.table()
+        self.config.model.table()
     }
 
     /// Time from one [`FiringCycle`] to the next, nanoseconds.
@@ -83,8 +79,8 @@ impl LidarSim {
     /// Firing cycles in a data packet.
     pub fn cycles_per_packet(&self) -> usize {
         match self.config.returns {
-            ReturnMode::Strongest | ReturnMode::Last => BLOCKS,
-            ReturnMode::Dual => BLOCKS / 2,
+            Returns::Strongest | Returns::Last => BLOCKS,
+            Returns::Dual => BLOCKS / 2,
         }
     }
 

@@ -106,7 +106,7 @@ fn time_of_a_point_follows_the_firing_sequence() {
 #[test]
 fn any_number_of_threads_gives_the_same_returns() {
     let mut dual = SimConfig::tiny();
-    (dual.texel_m, dual.lidar.returns) = (0.1, ReturnMode::Dual);
+    (dual.texel_m, dual.lidar.returns) = (0.1, Returns::Dual);
     dual.lidar.divergence_rad = [3e-3, 1.5e-3];
     let dual = Simulation::new(&dual, &no_progress).expect("valid");
     for simulation in [simulation(0.03), dual] {
@@ -168,9 +168,9 @@ fn shots_go_through_glass_and_come_back_from_it_head_on_only() {
                 let sim = LidarSim::new(Se3::identity(), &config, 4);
                 sim.answer(echoes, number(0)).map(|r| r.range_count)
             };
-            assert_eq!(sent(ReturnMode::Strongest), [500, 0]);
-            assert_eq!(sent(ReturnMode::Last), [1250, 0]);
-            assert_eq!(sent(ReturnMode::Dual), [1250, 500]);
+            assert_eq!(sent(Returns::Strongest), [500, 0]);
+            assert_eq!(sent(Returns::Last), [1250, 0]);
+            assert_eq!(sent(Returns::Dual), [1250, 500]);
         }
         let ray = [0.8, 0.6, 0.0];
         let slanted = RayPacket::splat([0.0; 3], ray);
@@ -235,7 +235,7 @@ fn a_beam_on_an_edge_is_answered_by_both_surfaces() {
 #[test]
 fn of_many_echoes_the_second_strongest_is_sent_where_the_strongest_is_the_last() {
     let config = LidarConfig {
-        returns: ReturnMode::Dual,
+        returns: Returns::Dual,
         range_noise_m: 0.0,
         dropout: 0.0,
         ..LidarConfig::default()

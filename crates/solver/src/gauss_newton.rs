@@ -1,10 +1,11 @@
 //! Least squares over a handful of unknowns by Gauss and Newton.
 //!
 //! The unknowns are any [`Manifold`]; they are moved here alone, through [`Manifold::plus`], so that every tangent vector is
-//! perturbed on the right. Problems of many unknowns belong to the solver.
+//! perturbed on the right. Many unknowns, or blocks of them, are a [`crate::Problem`].
 
-use lsfb_solver::Manifold;
 use nalgebra::{Const, DimMin, SMatrix, SVector};
+
+use crate::Manifold;
 
 /// The sum of all terms at one place: `½ δᵀ H δ + gᵀ δ`.
 #[derive(Clone, Copy, Debug, PartialEq)]

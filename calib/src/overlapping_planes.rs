@@ -53,13 +53,13 @@ struct Fitted {
 
 /// Returns by cell, with the planes asked for so far.
 #[derive(Default)]
-pub(crate) struct PlaneMapBuilder {
+pub(crate) struct OverlappingPlanesBuilder {
     cells: CellMap<PointSums>,
     planes: CellMap<Option<Fitted>>,
 }
 
 /// All planes of a place, when nothing is added to it any more.
-pub(crate) struct PlaneMap {
+pub(crate) struct OverlappingPlanes {
     planes: CellMap<Option<Fitted>>,
     own_counts: CellMap<u32>,
     usual_thickness_m: f64,
@@ -95,7 +95,7 @@ pub(crate) fn register_to_planes(
     (inliers >= MIN_MATCHES).then_some((found.world_from_rig, found.information))
 }
 
-impl PlaneMapBuilder {
+impl OverlappingPlanesBuilder {
     /// Adds returns; planes known so far are forgotten.
     pub fn add(&mut self, returns: impl Iterator<Item = Vector3<f64>>) {
         self.planes.clear();
@@ -138,7 +138,7 @@ impl PlaneMapBuilder {
     }
 
     /// All planes at once.
-    pub fn finish(self) -> PlaneMap {
+    pub fn finish(self) -> OverlappingPlanes {
         let mut cells: Vec<u64> = self.cells.keys().copied().collect();
         cells.sort_unstable();
         let planes: Vec<(u64, Option<Fitted>)> = cells
@@ -150,7 +150,7 @@ impl PlaneMapBuilder {
         let thicknesses = good.map(|f| f.plane.thickness_m).collect();
         let counts = planes.iter().filter(|(_, f)| f.is_some());
         let counts = counts.map(|(cell, _)| f64::from(self.cells[cell].count()));
-        PlaneMap {
+        OverlappingPlanes {
             usual_thickness_m: median(thicknesses).unwrap_or(0.0),
             usual_count: median(counts.collect()).unwrap_or(0.0),
             own_counts: self.cells.iter().map(|(c, s)| (*c, s.count())).collect(),
@@ -166,7 +166,7 @@ impl Fitted {
     }
 }
 
-impl PlaneMap {
+impl OverlappingPlanes {
     /// The plane near a place; `None` where there is none.
     pub fn plane(&self, place: &Vector3<f64>) -> Option<Plane> {
         Some(self.planes.get(&cell_of(place))?.as_ref()?.plane)
