@@ -441,7 +441,7 @@ fn depth_is_given_where_the_scanner_saw_something() {
     std::fs::write(path.join("far.tum"), far.join("\n")).expect("poses");
     let depth = |poses: &str, out: &str| {
         let words = format!(
-            "--json map depth scan.mcap --trajectory scan.tum --poses {poses} --cameras cam0 --out {out}"
+            "--json map depth scan.mcap --trajectory scan.tum --poses {poses} --camera cam0 --out {out}"
         );
         lsfb(path, &words.split(' ').collect::<Vec<_>>())
     };

@@ -54,7 +54,7 @@ pub struct Arguments {
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
     /// Look for loops, close them, and write the list of them here.
-    #[arg(long, alias = "loops-out", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     out_loops: Option<PathBuf>,
     /// Close the loops that this list accepts, and look for no others.
     #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
@@ -76,10 +76,10 @@ pub struct Arguments {
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Topic of the scans, where a bag has several.
-    #[arg(long = "lidar-topic", alias = "lidar", value_name = "TOPIC")]
+    #[arg(long = "lidar-topic", visible_alias = "lidar", value_name = "TOPIC")]
     lidar: Option<String>,
     /// Topic of the inertial samples, where a bag has several.
-    #[arg(long = "imu-topic", alias = "imu", value_name = "TOPIC")]
+    #[arg(long = "imu-topic", visible_alias = "imu", value_name = "TOPIC")]
     imu: Option<String>,
     /// Scans per second of a folder of clouds without times: neither in the points, nor in the file names, nor in a list beside them.
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]
