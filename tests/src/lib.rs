@@ -56,14 +56,14 @@ fn append(list: &Path, test: &str, lacks: Lacks, why: &str) -> std::io::Result<(
     file.write_all(format!("{kind}\t{test}: {why}\n").as_bytes())
 }
 
-/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`). `None`, and the test is
-/// [skipped](skip), where it is absent.
+/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`), by its absolute path: commands
+/// run in folders of their own. `None`, and the test is [skipped](skip), where it is absent.
 pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA")
         .map_or_else(|| workspace_root().join("../shared/data"), PathBuf::from);
     let path = root.join(below);
-    if path.exists() {
-        return Some(path);
+    if let Ok(there) = path.canonicalize() {
+        return Some(there);
     }
     let why = format!("no recording at {}", path.display());
     skip(test, Lacks::Recording, &why);
