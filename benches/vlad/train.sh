@@ -3,6 +3,6 @@
 # usage: benches/vlad/train.sh WORK
 set -euo pipefail
 lsfb=$(dirname "$0")/../../target/release/lsfb
-"$lsfb" bench twin --quick --seed 46 --devices android --keep-recordings --out "$1/trial"
+"$lsfb" bench twin --quick --seed 46 --device android --keep-recordings --out "$1/trial"
 "$lsfb" models codebook "$1"/trial/*-46/scan.mcap --out "$1/default.codebook"
 sha256sum "$1/default.codebook"

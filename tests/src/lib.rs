@@ -21,6 +21,8 @@ pub fn workspace_root() -> PathBuf {
 pub enum Lacks {
     /// The recordings made by others: `.ci/run` fails where they are on the machine.
     Recording,
+    /// Published weights that are handed out beside the recordings: likewise.
+    Weights,
     /// A program or a kernel that not every machine has.
     Program,
 }
@@ -43,6 +45,7 @@ pub fn skip(test: &str, lacks: Lacks, why: &str) {
 fn append(list: &Path, test: &str, lacks: Lacks, why: &str) -> std::io::Result<()> {
     let kind = match lacks {
         Lacks::Recording => "recording",
+        Lacks::Weights => "weights",
         Lacks::Program => "program",
     };
     let mut file = std::fs::File::options()
@@ -53,19 +56,29 @@ fn append(list: &Path, test: &str, lacks: Lacks, why: &str) -> std::io::Result<(
     file.write_all(format!("{kind}\t{test}: {why}\n").as_bytes())
 }
 
-/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`). `None`, and the test is
-/// [skipped](skip), where it is absent.
+/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`), by its absolute path: commands
+/// run in folders of their own. `None`, and the test is [skipped](skip), where it is absent.
 pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA")
         .map_or_else(|| workspace_root().join("../shared/data"), PathBuf::from);
     let path = root.join(below);
-    if path.exists() {
-        return Some(path);
+    if let Ok(there) = path.canonicalize() {
+        return Some(there);
     }
     let why = format!("no recording at {}", path.display());
     skip(test, Lacks::Recording, &why);
     None
 }
+
+/// Published weights that are handed out with the recordings made by others; of the rest whoever has them sets `LSFB_TEST_MODELS`.
+const HANDED_OUT: [&str; 6] = [
+    "xfeat.safetensors",
+    "xfeat.onnx",
+    "alike-t.safetensors",
+    "alike-t.onnx",
+    "aliked-t16_gs.onnx",
+    "superpoint_arch_random.onnx",
+];
 
 /// A file of the published weights of learned features (`LSFB_TEST_MODELS`, default `models` beside the recordings made by others).
 /// `None`, and the test is [skipped](skip), where it is absent.
@@ -80,8 +93,11 @@ pub fn published_weights(test: &str, file: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    let why = format!("no weights at {}", path.display());
-    skip(test, Lacks::Program, &why);
+    let lacks = match HANDED_OUT.contains(&file) {
+        true => Lacks::Weights,
+        false => Lacks::Program,
+    };
+    skip(test, lacks, &format!("no weights at {}", path.display()));
     None
 }
 
@@ -114,10 +130,11 @@ fn each_skipped_test_is_a_line_of_the_list() {
     let list = std::env::temp_dir().join(format!("lsfb-skipped-{}", std::process::id()));
     append(&list, "a", Lacks::Recording, "no recording at x").expect("written");
     append(&list, "b", Lacks::Program, "no Chromium").expect("written");
+    append(&list, "c", Lacks::Weights, "no weights at y").expect("written");
     let text = std::fs::read_to_string(&list).expect("read");
     std::fs::remove_file(&list).expect("removed");
     assert_eq!(
         text,
-        "recording\ta: no recording at x\nprogram\tb: no Chromium\n"
+        "recording\ta: no recording at x\nprogram\tb: no Chromium\nweights\tc: no weights at y\n"
     );
 }

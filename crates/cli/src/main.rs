@@ -1,6 +1,6 @@
 //! `lsfb`: one binary, one file per subcommand.
 //!
-//! Exit codes: see [`EXIT_CODES`].
+//! Exit codes: see [`outcome::EXIT_CODES`].
 
 #![allow(
     clippy::print_stdout,
@@ -38,11 +38,8 @@ use clap::{Parser, Subcommand};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// One meaning each, in all commands.
-const EXIT_CODES: &str = "Exit codes: 0 done · 1 failed · 2 bad arguments · 3 finished, but data was lost · \
-4 finished, but what was judged has failed · 130 stopped by Ctrl-C · 143 stopped by SIGTERM
-
-Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no half-written file (when recording \
+/// What all commands have in common, behind the exit codes.
+const NOTES: &str = "Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no half-written file (when recording \
 devices it ends the recording, with 0 or 3); a second Ctrl-C stops it at once. Output is coloured on terminals; NO_COLOR turns colours off.
 
 Examples:
@@ -57,7 +54,7 @@ const COMMON_OPTIONS: &str = "Options of all commands";
 
 /// Ground truth for AR: from a backpack scan to centimetre-accurate trajectories of every walk.
 #[derive(Parser)]
-#[command(name = "lsfb", version, arg_required_else_help = true, after_help = EXIT_CODES)]
+#[command(name = "lsfb", version, arg_required_else_help = true, after_help = format!("{}\n{NOTES}", outcome::exit_codes()))]
 struct Arguments {
     #[command(flatten)]
     global: GlobalArguments,

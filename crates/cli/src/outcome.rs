@@ -4,12 +4,37 @@ use std::process::ExitCode;
 
 use lsfb_types::Verdict;
 
+/// Exit codes and what they mean, the same in all commands: as the help has them, and the table of `README.md`.
+pub const EXIT_CODES: [(&str, &str); 6] = [
+    ("0", "done"),
+    ("1", "failed; the last line of stderr says why"),
+    ("2", "bad arguments"),
+    (
+        "3",
+        "finished, but not whole: data was lost or cannot be read, or what is not certain is left out; the report says which",
+    ),
+    (
+        "4",
+        "finished, but what was judged has failed; the findings say why",
+    ),
+    (
+        "129, 130, 143",
+        "stopped: its terminal was closed (SIGHUP), by Ctrl-C, by SIGTERM",
+    ),
+];
+
+/// As the help shows them.
+pub fn exit_codes() -> String {
+    let lines = EXIT_CODES.map(|(code, meaning)| format!("  {code:<13}  {meaning}\n"));
+    format!("Exit codes:\n{}", lines.concat())
+}
+
 /// What a command that did not fail has to say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Everything asked for was done.
     Done,
-    /// Finished, but data was lost on the way, or parts of a walk have no poses; the report says which.
+    /// Finished, but data was lost or cannot be read, or what is not certain is left out; the report says which.
     DataLost,
     /// Finished, and what was judged failed: a recording, a machine, a calibration; the findings say why.
     JudgementFailed,
@@ -26,12 +51,48 @@ impl Outcome {
 }
 
 impl From<Outcome> for ExitCode {
-    /// 0 done, 3 finished but data was lost, 4 what was judged failed. (1 is failure, 2 bad arguments.)
+    /// One of [`EXIT_CODES`].
     fn from(outcome: Outcome) -> Self {
         match outcome {
             Outcome::Done => ExitCode::SUCCESS,
             Outcome::DataLost => ExitCode::from(3),
             Outcome::JudgementFailed => ExitCode::from(4),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The help, the README and the handbook of odometry had three lists, and none of them had 129.
+    #[test]
+    fn the_readme_has_the_same_codes() {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../");
+        let readme = std::fs::read_to_string(format!("{root}README.md")).expect("README.md");
+        let rows = EXIT_CODES.map(|(code, meaning)| format!("| {code} | {meaning} |\n"));
+        let table = format!("| code | meaning |\n| --- | --- |\n{}\n", rows.concat());
+        assert!(readme.contains(&table), "README.md lacks:\n{table}");
+    }
+
+    #[test]
+    fn what_a_command_ends_with_is_in_the_table() {
+        let known: Vec<&str> = EXIT_CODES
+            .iter()
+            .flat_map(|(codes, _)| codes.split(", "))
+            .collect();
+        for outcome in [Outcome::Done, Outcome::DataLost, Outcome::JudgementFailed] {
+            let code = match outcome {
+                Outcome::Done => 0,
+                Outcome::DataLost => 3,
+                Outcome::JudgementFailed => 4,
+            };
+            assert_eq!(ExitCode::from(outcome), ExitCode::from(code));
+            assert!(known.contains(&code.to_string().as_str()));
+        }
+        for signal in crate::stop::SIGNALS {
+            let code = crate::stop::exit_code(signal);
+            assert!(known.contains(&code.to_string().as_str()), "{code}");
         }
     }
 }

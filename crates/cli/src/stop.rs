@@ -11,6 +11,14 @@ use signal_hook::flag;
 /// Exit codes of processes that a signal ended begin here, as shells have it.
 const SIGNAL_EXIT: u8 = 128;
 
+/// What asks for an orderly end.
+pub const SIGNALS: [i32; 3] = [SIGINT, SIGTERM, SIGHUP];
+
+/// 128 and the number of a signal.
+pub fn exit_code(signal: i32) -> u8 {
+    SIGNAL_EXIT.saturating_add(u8::try_from(signal).unwrap_or_default())
+}
+
 /// Whether, and by which signal.
 #[derive(Clone)]
 pub struct StopSignal {
@@ -25,8 +33,8 @@ impl StopSignal {
             asked: Arc::new(AtomicBool::new(false)),
             number: Arc::new(AtomicUsize::new(0)),
         };
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
-            let exit = i32::from(SIGNAL_EXIT) + signal;
+        for signal in SIGNALS {
+            let exit = i32::from(exit_code(signal));
             // What is registered first is done first: the exit only where the flag is set already.
             flag::register_conditional_shutdown(signal, exit, Arc::clone(&new.asked))
                 .and_then(|_| {
@@ -57,9 +65,8 @@ impl StopSignal {
         }
     }
 
-    /// 128 and the number of the signal that came.
+    /// See [`exit_code`], of the signal that came.
     pub fn exit_code(&self) -> u8 {
-        let number = u8::try_from(self.number.load(Ordering::SeqCst)).unwrap_or_default();
-        SIGNAL_EXIT.saturating_add(number)
+        exit_code(i32::try_from(self.number.load(Ordering::SeqCst)).unwrap_or_default())
     }
 }

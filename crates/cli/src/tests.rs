@@ -254,6 +254,103 @@ fn units_end_the_names_of_options() {
     }
 }
 
+/// Words that no option has, each with the one that options have for the same thing.
+const OTHER_WORDS: [(&str, &str); 7] = [
+    ("to", "format"),
+    ("layout", "format"),
+    ("least", "min"),
+    ("most", "max"),
+    ("stamps", "stamp-unit"),
+    ("seconds", "secs"),
+    ("license", "licence"),
+];
+/// Options that are the plural of another, as they are something else or because both spellings were asked for.
+const PLURALS: [(&str, &str); 5] = [
+    ("devices", "a file; for `bench twin` the same as --device"),
+    ("places", "for `bench twin` the same as --place"),
+    ("seeds", "how many"),
+    ("loops", "a file of loop closures; --loop plays again"),
+    ("models", "a folder of weights; --model is a lens's"),
+];
+
+/// The names of an option: its own and those that its help gives besides.
+fn names_of(argument: &Arg) -> impl Iterator<Item = String> {
+    let own = argument.get_long().map(str::to_owned);
+    own.into_iter().chain(
+        argument
+            .get_all_aliases()
+            .unwrap_or_default()
+            .into_iter()
+            .map(str::to_owned),
+    )
+}
+
+/// One word for one thing: no option is named by another word for what an option is named by already, nor is the plural of one.
+#[test]
+fn one_thing_has_one_word() {
+    let mut by_singular: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (command_name, command) in commands() {
+        for argument in command.get_arguments() {
+            assert_eq!(
+                argument.get_all_aliases().unwrap_or_default(),
+                argument.get_visible_aliases().unwrap_or_default(),
+                "{command_name}: an option has a name that its help does not give"
+            );
+            for name in names_of(argument) {
+                for (other, word) in OTHER_WORDS {
+                    let is_used = name.split('-').any(|part| part == other);
+                    assert!(!is_used, "{command_name} --{name}: {other} is {word}");
+                }
+                let singular: Vec<&str> = name
+                    .split('-')
+                    .map(|part| part.strip_suffix('s').unwrap_or(part))
+                    .collect();
+                let spellings = by_singular.entry(singular.join("-")).or_default();
+                if !spellings.contains(&name) {
+                    spellings.push(name);
+                }
+            }
+        }
+    }
+    let of_several: Vec<&String> = by_singular
+        .values()
+        .filter(|spellings| spellings.len() > 1)
+        .flat_map(|spellings| spellings.iter().filter(|name| name.ends_with('s')))
+        .collect();
+    let mut excused: Vec<&str> = PLURALS.iter().map(|(name, _)| *name).collect();
+    excused.sort_unstable();
+    assert_eq!(
+        of_several, excused,
+        "plurals beside their singulars; an option that may be given several times is named in the singular"
+    );
+}
+
+/// What an option takes tells its name, and its name what it takes.
+#[test]
+fn what_is_taken_is_named_alike() {
+    for (name, command) in commands() {
+        let mut pages = Vec::new();
+        for (_, option, value) in options(&command) {
+            let last = option.rsplit('-').next().unwrap_or_default();
+            for (taken, word) in [("FORMAT", "format"), ("UNIT", "unit")] {
+                assert_eq!(value == taken, last == word, "{name} --{option} <{value}>");
+            }
+            for (word, taken) in [("secs", "SECS"), ("hz", "HZ"), ("mb", "MB"), ("every", "N")] {
+                assert!(
+                    last != word || value == taken,
+                    "{name} --{option} <{value}>"
+                );
+            }
+            if value == "HTML" {
+                pages.push(option);
+            }
+        }
+        // The result itself, or what is written beside it.
+        let is_known = matches!(pages[..], [] | ["out"] | ["out-report"]);
+        assert!(is_known, "{name}: pages {pages:?}");
+    }
+}
+
 /// `--out` and `--out-…` alone name what is written: an option that says so has such a name.
 #[test]
 fn what_is_written_is_named_out() {

@@ -7,7 +7,7 @@ use crate::process::lsfb;
 fn a_run_of_the_trial_is_judged_and_stands() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    let arguments = "bench twin --out trial --try-out --true-rigs --places wide-corridor --devices glasses --seed 1";
+    let arguments = "bench twin --out trial --try-out --true-rigs --place wide-corridor --device glasses --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let trial = json(root, &arguments, 0);
     let run = &trial["runs"][0];
@@ -52,7 +52,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
 #[test]
 fn a_walk_along_a_door_frame_is_not_given_wrongly() {
     let folder = tempfile::tempdir().expect("folder");
-    let arguments = "bench twin --out trial --try-out --true-rigs --simple-light --plain-look --places narrow-corridor --devices android --seed 1";
+    let arguments = "bench twin --out trial --try-out --true-rigs --simple-light --plain-look --place narrow-corridor --device android --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let run = &json(folder.path(), &arguments, 0)["runs"][0];
     assert_eq!(run["exported_wrong"], 0, "{run}");
@@ -72,7 +72,7 @@ fn conditions_that_a_place_cannot_have_are_named() {
         assert_eq!(refused.status.code(), Some(code), "{said}");
         assert!(said.contains(expected), "{said}");
     };
-    let trial = "bench twin --out trial --try-out --places exhibition-hall,atrium --condition";
+    let trial = "bench twin --out trial --try-out --places exhibition-hall,atrium --devices glasses --condition";
     refused(
         &format!("{trial} fire-door"),
         1,

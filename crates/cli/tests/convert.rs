@@ -59,12 +59,12 @@ fn a_trajectory_goes_through_every_format_and_comes_back() {
     for (format, out, times) in FORMATS {
         let written = run(
             root,
-            &format!("convert walk.tum --to {format} --out {out}"),
+            &format!("convert walk.tum --format {format} --out {out}"),
             0,
         );
         assert_eq!(written["poses"], 300, "{written}");
         assert_eq!(written["verdict"], "pass", "{written}");
-        let line = format!("convert {out}{times} --to tum --out back_{format}.tum");
+        let line = format!("convert {out}{times} --format tum --out back_{format}.tum");
         run(root, &line, 0);
         let back = read_tum(&root.join(format!("back_{format}.tum"))).expect("read");
         assert_eq!(back.len(), walk.len(), "{format}");
@@ -82,35 +82,39 @@ fn a_trajectory_goes_through_every_format_and_comes_back() {
     // What is there stays, what is read is not replaced, and a failure leaves nothing.
     refused(
         root,
-        "convert walk.tum --to csv --out walk.csv",
+        "convert walk.tum --format csv --out walk.csv",
         "exists already",
     );
     refused(
         root,
-        "convert walk.tum --to kapture --out walk_kapture",
+        "convert walk.tum --format kapture --out walk_kapture",
         "exists already",
     );
     refused(
         root,
-        "convert walk_kitti.txt --times walk_kitti_times.txt --to kitti --out walk_kitti.txt",
+        "convert walk_kitti.txt --times walk_kitti_times.txt --format kitti --out walk_kitti.txt",
         "would replace what is read",
     );
     fs::write(root.join("positions.txt"), "1 2 3 4\n2 3 4 5\n").expect("written");
     refused(
         root,
-        "convert positions.txt --to mcap --out no.mcap",
+        "convert positions.txt --format mcap --out no.mcap",
         "positions only",
     );
-    refused(root, "convert . --to tum --out no.tum", "name the file");
+    refused(root, "convert . --format tum --out no.tum", "name the file");
     refused(
         root,
-        "convert walk.tum --times walk_kitti_times.txt --to csv --out no.csv",
+        "convert walk.tum --times walk_kitti_times.txt --format csv --out no.csv",
         "stamps of its own",
     );
     for nothing in ["no.mcap", "no.tum", "no.csv"] {
         assert!(!root.join(nothing).exists(), "{nothing}");
     }
-    let warned = run(root, "convert walk_kitti.txt --to tum --out rows.tum", 0);
+    let warned = run(
+        root,
+        "convert walk_kitti.txt --format tum --out rows.tum",
+        0,
+    );
     assert!(warned.to_string().contains("without stamps"), "{warned}");
 }
 

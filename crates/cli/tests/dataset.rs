@@ -12,7 +12,7 @@ use lsfb_tests::foreign_python;
 use lsfb_types::Timestamp;
 use serde_json::Value;
 
-const MAKE: &str = "dataset make --out ds --sequence C3-glasses --scale-percent 0.1 --least-secs 5 --small-images --seed 4711";
+const MAKE: &str = "dataset make --out ds --sequence C3-glasses --scale-percent 0.1 --min-secs 5 --small-images --seed 4711";
 
 fn run(root: &Path, line: &str, code: i32) -> Value {
     json(root, &line.split(' ').collect::<Vec<_>>(), code)
@@ -139,7 +139,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     assert!(
         said(
             root,
-            "dataset export ds C3-glasses --layout colmap --out no"
+            "dataset export ds C3-glasses --format colmap --out no"
         )
         .contains("truth")
     );
@@ -194,7 +194,7 @@ fn exports_come_back(root: &Path) {
     ] {
         let out = source.split('/').next().expect("a folder");
         if layout != "euroc" {
-            let line = format!("dataset export ds C3-glasses --layout {layout} --out {out}");
+            let line = format!("dataset export ds C3-glasses --format {layout} --out {out}");
             run(root, &line, 0);
         }
         let line = format!("import {source} --out {layout}.mcap --device glasses");
@@ -264,7 +264,7 @@ fn others_open_exports(root: &Path) {
 fn exports(root: &Path) {
     run(
         root,
-        "dataset export ds C3-glasses --layout euroc --out euroc",
+        "dataset export ds C3-glasses --format euroc --out euroc",
         0,
     );
     let line = "eval euroc/mav0/state_groundtruth_estimate0/data.csv --truth ds/truth/query/C3-glasses.tum --align none";
@@ -275,7 +275,7 @@ fn exports(root: &Path) {
 
     run(
         root,
-        "dataset export ds C3-glasses --layout colmap --out model",
+        "dataset export ds C3-glasses --format colmap --out model",
         0,
     );
     let truth = Trajectory::new(
@@ -313,7 +313,7 @@ fn exports(root: &Path) {
     fs::write(root.join("faces.txt"), "cam0 - - 10 20 30 40\n").expect("regions");
     run(
         root,
-        "dataset export ds C3-glasses --layout kapture --out kapture --hidden-regions faces.txt",
+        "dataset export ds C3-glasses --format kapture --out kapture --hidden-regions faces.txt",
         0,
     );
     let trajectories =
@@ -341,7 +341,7 @@ fn exports(root: &Path) {
     fs::write(root.join("faces.txt"), "cam7 - - 10 20 30 40\n").expect("regions");
     let refused = said(
         root,
-        "dataset export ds C3-glasses --layout images --out no --hidden-regions faces.txt",
+        "dataset export ds C3-glasses --format images --out no --hidden-regions faces.txt",
     );
     assert!(
         refused.contains("is in no image") && !root.join("no").exists(),

@@ -15,11 +15,6 @@ use serde_json::Value;
 /// What an independent script counts in the recordings of others: `python3 crates/cli/tests/import/counts.py ../shared/data`.
 const COUNTS: &str = include_str!("import/counts.txt");
 
-fn absolute(test: &str, below: &str) -> Option<PathBuf> {
-    let path = recordings(test, below)?;
-    Some(path.canonicalize().expect("a path that exists"))
-}
-
 /// Kinds of records of a source and how many there are.
 fn counted(source: &str) -> BTreeMap<&'static str, u64> {
     let lines = COUNTS
@@ -68,7 +63,7 @@ fn import(folder: &Path, source: &Path, more: &[&str], code: i32) -> Value {
 fn all_walks_of_a_mall_come_over_whole() {
     let test = "all_walks_of_a_mall_come_over_whole";
     let below = "vision/indoorloc20/site1/F1/path_data_files";
-    let Some(walks) = absolute(test, below) else {
+    let Some(walks) = recordings(test, below) else {
         return;
     };
     let mut sources: Vec<PathBuf> = std::fs::read_dir(walks)
@@ -180,7 +175,7 @@ fn real_recordings_of_others_come_over_whole() {
         ),
     ] {
         let is_empty = |kind: &str| ["records_camera.txt", "records_lidar.txt"].contains(&kind);
-        let Some(source) = absolute(test, below) else {
+        let Some(source) = recordings(test, below) else {
             return;
         };
         let folder = tempfile::tempdir().expect("folder");

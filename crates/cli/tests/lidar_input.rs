@@ -1,12 +1,13 @@
 //! Who sends LiDAR packets, and what is in a capture that has none.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::answer::json;
 use crate::capture_file::{Frame, capture, pcap};
 use crate::refusal::refused;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::Recording;
+use lsfb_tests::recordings;
 use lsfb_tests::velodyne::data_packet;
 use lsfb_types::{Echo, LidarScan};
 use serde_json::Value;
@@ -264,12 +265,6 @@ fn models_that_are_not_there_are_refused_by_name() {
             _ => refused(path, &scan, &["where a XT32 is configured"]),
         }
     }
-}
-
-/// Absolute, as the commands run in a folder of their own.
-fn recordings(test: &str, below: &str) -> Option<PathBuf> {
-    let path = lsfb_tests::recordings(test, below)?;
-    Some(path.canonicalize().expect("a path that exists"))
 }
 
 fn text(path: &Path) -> &str {

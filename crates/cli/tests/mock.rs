@@ -27,7 +27,7 @@ fn nothing_waits(ports: &[u16]) -> bool {
 /// The recordings made by others.
 fn data(test: &str) -> Option<PathBuf> {
     let lidar = lsfb_tests::recordings(test, "lidar")?;
-    lidar.parent()?.canonicalize().ok()
+    Some(lidar.parent()?.to_owned())
 }
 
 /// What a raw topic holds, in order.

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use crate::answer::json;
 use crate::capture_file::pcap;
+use crate::process::lsfb;
 use crate::refusal::refused;
 use lsfb_geometry::{StampedPose, UnitQuaternion};
 use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
+use serde_json::Value;
 
 /// A room of 8 × 6 × 3 m with a pillar, seen from a sensor that moves 5 cm along x from scan to scan, also while it turns.
 fn scan(number: usize) -> LidarScan {
@@ -127,6 +129,7 @@ fn an_mcap_of_a_stranger_is_run_on_without_an_imu_of_which_nothing_is_known() {
     let said = report["input"]["warnings"].to_string();
     assert!(said.contains("neither --rig nor /tf_static"), "{said}");
     expect_path(&path.join("walk.tum"));
+    judged_as_by_the_other_commands(path, &command, &report);
 
     // Asked for, it is an error and no silence.
     let asked = [&command[..], &["--imu-topic", "/imu0/data_raw"]].concat();
@@ -149,6 +152,38 @@ fn an_mcap_of_a_stranger_is_run_on_without_an_imu_of_which_nothing_is_known() {
             .angle_to(&UnitQuaternion::identity())
     });
     assert!(turned.fold(0.0, f64::max) < 0.02);
+}
+
+/// It alone had neither verdict nor findings: a script that asks every command for them took its silence for a PASS.
+fn judged_as_by_the_other_commands(path: &Path, command: &[&str], report: &Value) {
+    assert_eq!(report["verdict"], "warn");
+    let summary = report["summary"].as_str().expect("text");
+    assert!(summary.starts_with("WARN: "), "{summary}");
+    let findings = report["findings"].as_array().expect("findings");
+    let found = |code: &str| {
+        let found = findings.iter().find(|f| f["code"] == code);
+        found.unwrap_or_else(|| panic!("no {code} in {findings:?}"))
+    };
+    let registered = found("registered");
+    assert_eq!(
+        (&registered["verdict"], &registered["value"]),
+        (&"pass".into(), &(SCANS as f64).into())
+    );
+    let known = found("known");
+    assert_eq!(
+        (&known["unit"], &known["limit"]["at_most"]),
+        (&"m".into(), &1.0.into())
+    );
+    assert_eq!(found("no-imu")["verdict"], "warn");
+    assert_eq!(found("input")["what"], report["input"]["warnings"][0]);
+
+    let text = lsfb(path, &[command, &["--force"]].concat());
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(lines[0].contains(" scans registered, "), "{text}");
+    for problem in ["WARN     odometry ", "WARN     input "] {
+        assert!(lines.iter().any(|line| line.starts_with(problem)), "{text}");
+    }
 }
 
 #[test]
@@ -215,7 +250,6 @@ fn packets_in_a_bag_of_a_driver_are_run_on() {
     let Some(bag) = lsfb_tests::recordings(test, below) else {
         return;
     };
-    let bag = bag.canonicalize().expect("a path that exists");
     let folder = tempfile::tempdir().expect("folder");
     let arguments = [
         "odometry",
@@ -277,7 +311,7 @@ fn a_bag_whose_end_is_torn_off_is_told_by_the_exit_code() {
     std::fs::write(&bag, &whole[..whole.len() * 3 / 4]).expect("a torn bag");
     let report = json(path, &["odometry", "walk.mcap", "--out", "walk.tum"], 3);
     let warnings = report["input"]["warnings"].as_array().expect("a list");
-    let names_the_file = |w: &serde_json::Value| w.to_string().contains("walk.mcap: ");
+    let names_the_file = |w: &Value| w.to_string().contains("walk.mcap: ");
     assert!(warnings.iter().any(names_the_file), "{warnings:?}");
 }
 

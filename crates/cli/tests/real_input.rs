@@ -1,18 +1,13 @@
 //! The documented commands on recordings made by others (`LSFB_TEST_DATA`).
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::answer::json;
 use crate::refusal::refused;
 use lsfb_geometry::Vector3;
 use lsfb_recording::{Recording, read_tum};
+use lsfb_tests::recordings;
 use serde_json::Value;
-
-/// Absolute, as the commands run in a folder of their own.
-fn recordings(test: &str, below: &str) -> Option<PathBuf> {
-    let path = lsfb_tests::recordings(test, below)?;
-    Some(path.canonicalize().expect("a path that exists"))
-}
 
 fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8")

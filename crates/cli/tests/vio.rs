@@ -11,16 +11,12 @@ use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, Rig, RigCamera, RigImu, Se3, UnitQuaternion, Vector3,
 };
 use lsfb_recording::read_tum;
+use lsfb_tests::recordings;
 use nix::sys::signal::Signal;
 use serde_json::Value;
 
 /// Images that a part of the walk has: eight seconds.
 const IMAGES: usize = 160;
-
-fn recordings(test: &str, below: &str) -> Option<PathBuf> {
-    let path = lsfb_tests::recordings(test, &format!("vision/{below}"))?;
-    Some(path.canonicalize().expect("a path that exists"))
-}
 
 /// The walk's first seconds, of one camera, as a folder of TUM VI; `dark` of its images show nothing.
 fn part(walk: &Path, dark: std::ops::Range<usize>, folder: &Path) {
@@ -132,8 +128,8 @@ fn scaled(text: &str, columns: std::ops::Range<usize>, by: f64) -> String {
 /// A walk of TUM VI, and the folder with the calibration of its device; `None` where they are absent.
 fn tumvi(test: &str) -> Option<[PathBuf; 2]> {
     Some([
-        recordings(test, "tumvi_calib_imu1_next")?,
-        recordings(test, "tumvi_calib_imu1")?,
+        recordings(test, "vision/tumvi_calib_imu1_next")?,
+        recordings(test, "vision/tumvi_calib_imu1")?,
     ])
 }
 

@@ -10,6 +10,7 @@ mod kept;
 mod keyframe_scans;
 mod keyframes;
 mod matched;
+mod placed_points;
 mod pose_covariance;
 mod posed_scans;
 mod report;
@@ -17,6 +18,7 @@ mod reprojection_errors;
 mod residuals;
 mod residuals_by_part;
 mod rig_check;
+mod rounds;
 mod scan_check;
 mod scan_offsets;
 mod scan_pairs;
@@ -28,7 +30,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory, Vector3};
+use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
@@ -37,40 +39,29 @@ use sha2::{Digest, Sha256};
 use crate::bending::bent;
 use crate::error::Error;
 use crate::features::FeatureDetector;
-use crate::features::tracks::Track;
-use crate::features::triangulation::{TriangulationConfig, has_no_place};
-use crate::hd_map::{
-    HdMap, MapContent, MapPoint, SiteFrame, expect_map, find_tracks, triangulate_tracks,
-};
+use crate::hd_map::{HdMap, MapContent};
 use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, run_odometry, scan_count};
 use crate::read_ahead::read_ahead;
 use crate::stored_clouds::StoredClouds;
 use crate::surface::{Agreement, SurfaceBuilder, SurfaceConfig};
-use adjustment::{Adjusted, Terms, adjust};
 pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig, TermConfig};
 pub use control::{Control, ControlConfig, ControlMark, ControlReport};
-use control::{Hold, Marks, SolvedControl};
 use image_check::describe_images;
 pub use inertial::InertialReport;
-use inertial::{InertialEstimate, RecordedImu};
+use inertial::RecordedImu;
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframes, choose_keyframes, find_cameras};
-use pose_covariance::{mark_covariance, pose_covariances};
 pub use posed_scans::{PosedScan, RefinedScans, ScanPoseConfig, ScanPoseReport, refine_scan_poses};
-use report::USUAL_OUTLIER_SHARE;
 pub use report::{MappingReport, MappingWarning, RoundReport};
-use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors};
 pub use residuals::{CameraResiduals, LidarResiduals, PixelResiduals, RegionResiduals};
-use residuals_by_part::{Measured, Moment, Regions, put_coverage};
-use rig_check::{Checked, ShownCameras, camera_errors};
+use residuals_by_part::Regions;
+use rounds::{Optimised, Run, optimise};
 use scan_check::offsets_of_scans;
 pub use scan_offsets::ScanOffsets;
-use scan_pairs::{scan_correspondences, scan_pairs};
 use scan_source::ScanSource;
-use weights::{Contradicted, Weights, lidar_residuals};
 
 /// Where Eq. (4) has the rig's poses from at first.
 #[derive(Clone, Copy, Debug)]
@@ -108,8 +99,6 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// Rounds of correspondences and Eq. (4) from such a start, at most; from the odometry the settings say how many.
-const GIVEN_ROUNDS: usize = 10;
 /// Least share of the scans that a trajectory to start from must reach.
 const LEAST_REACHED: f64 = 0.5;
 
@@ -398,27 +387,6 @@ fn walk(
     Ok((odometry.trajectory, report))
 }
 
-/// How long no scan told the motion from each keyframe to the next, seconds: in holes of the trajectory, and in gaps of the odometry's scans, from and until
-/// seconds after the first of its poses.
-fn blind_secs(keyframes: &[StampedPose], trajectory: &Trajectory, gaps_s: &[[f64; 2]]) -> Vec<f64> {
-    let Some(begin) = trajectory.poses().first().map(|pose| pose.time) else {
-        return vec![0.0; keyframes.len()];
-    };
-    let holes = trajectory.holes();
-    let holes = holes.map(|hole| hole.map(|pose| pose.time.secs_since(begin)));
-    let blind: Vec<[f64; 2]> = holes.chain(gaps_s.iter().copied()).collect();
-    let pairs = keyframes.windows(2);
-    pairs
-        .map(|pair| {
-            let [from_s, to_s] = [0, 1].map(|k| pair[k].time.secs_since(begin));
-            let shared = blind
-                .iter()
-                .map(|[a, b]| (b.min(to_s) - a.max(from_s)).max(0.0));
-            shared.fold(0.0, f64::max)
-        })
-        .collect()
-}
-
 /// What is to be said of a trajectory to start from; refused where it is hardly of this recording.
 fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, Error> {
     let (mut scans, mut reached) = (0u64, 0u64);
@@ -481,396 +449,6 @@ fn walk_hash(rig: &Rig, odometry: &Trajectory, control: Option<&Control>) -> Str
     }
     control.iter().for_each(|control| control.add_to(&mut hash));
     hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
-}
-
-/// What Eq. (4) made of tracks and scans.
-struct Optimised {
-    /// Of the keyframes.
-    poses: Vec<StampedPose>,
-    points: Vec<MapPoint>,
-    /// Of the keyframes; none at all where the measurements do not determine them.
-    covariances: Vec<Option<Matrix6<f64>>>,
-    /// The rig file with cameras as the images show them, where some were taken so.
-    refined: Option<String>,
-    /// The surveyed frame that control points put the map into, and the world in that.
-    site: Option<(SiteFrame, Se3)>,
-}
-
-/// What rounds of Eq. (4) read, where they are kept, and under which name.
-struct Run<'a> {
-    source: ScanSource<'a>,
-    /// Whether the start is another program's.
-    given: bool,
-    stages: &'a KeptStages,
-    name: &'static str,
-    control: Option<&'a Control>,
-    imu: Option<&'a RecordedImu>,
-    regions: &'a Regions,
-}
-
-/// Where Eq. (4) stands behind one of its rounds.
-struct Rounds {
-    /// Rounds that are finished.
-    done: usize,
-    /// Rounds there are at most.
-    most: usize,
-    /// Of the keyframes.
-    poses: Vec<StampedPose>,
-    /// Where the keyframes were when images were matched last.
-    matched: Vec<StampedPose>,
-    /// How much the start is contradicted.
-    contradicted: Contradicted,
-    /// The control points that hold the map, once it was at rest without them.
-    hold: Option<Hold>,
-    /// What is found beside the poses, where the IMU takes part.
-    inertial: Option<InertialEstimate>,
-    /// The report so far.
-    told: MappingReport,
-}
-
-/// Images are matched where the poses have them, and scans joined along the way between keyframes: once a keyframe has moved or turned this much both are done
-/// anew, metres and radians. A pixel of a wide camera, or its view of a wall.
-const MATCHED_M: f64 = 0.03;
-const MATCHED_RAD: f64 = 0.005;
-
-/// Keyframes that move and turn less from one round to the next rest, metres and degrees.
-const RESTING_M: f64 = 1e-3;
-const RESTING_DEG: f64 = 0.02;
-
-/// How far poses have moved and turned at most: metres, radians.
-fn largest_move(from: &[StampedPose], to: &[StampedPose]) -> [f64; 2] {
-    let moves = from.iter().zip(to);
-    moves.fold([0.0, 0.0], |[metres, angle], (a, b)| {
-        let moved = a.world_from_rig.inverse() * b.world_from_rig;
-        [
-            f64::max(metres, moved.translation.norm()),
-            f64::max(angle, moved.rotation.angle()),
-        ]
-    })
-}
-
-/// Alternates new correspondences with Eq. (4) until the keyframes rest; then once more with the control points that agree with what came of it, where there are any.
-fn optimise(
-    rig: &Rig,
-    keyframes: &mut Keyframes,
-    trajectory: &Trajectory,
-    config: &MappingConfig,
-    report: &mut MappingReport,
-    run: &Run<'_>,
-    progress: ProgressFn<'_>,
-) -> Result<(Optimised, ShownCameras), Error> {
-    let odometry = &keyframes.poses();
-    let blind_s = blind_secs(odometry, trajectory, &report.odometry.gaps);
-    let pairs = scan_pairs(&keyframes.frames, config);
-    let max_px = config.max_reprojection_px;
-    let imu = run
-        .imu
-        .map(|imu| imu.between(odometry, trajectory, &report.odometry))
-        .transpose()?;
-    let term_at = |estimate: &Option<InertialEstimate>| {
-        let both = imu.as_ref().zip(estimate.as_ref());
-        both.map(|(imu, estimate)| imu.term(estimate)).transpose()
-    };
-    let mut inertial = imu.as_ref().map(|imu| imu.start.clone());
-    let mut contradicted = Contradicted::default();
-    let mut matched = odometry.clone();
-    let mut current = odometry.clone();
-    let mut round = 0;
-    let marks = run
-        .control
-        .map(|c| Marks::find(c, rig, trajectory, odometry));
-    let mut hold: Option<Hold> = None;
-    report.control = None;
-    let mut most_rounds = match run.given {
-        true => config.outer_iterations.max(GIVEN_ROUNDS),
-        false => config.outer_iterations.max(1),
-    };
-    let rounds_of_start = most_rounds;
-    if let Some(rounds) = run.stages.get::<Rounds>(run.name)
-        && rounds.poses.len() == keyframes.frames.len()
-        && rounds.matched.len() == keyframes.frames.len()
-    {
-        (round, most_rounds) = (rounds.done, rounds.most);
-        (current, hold) = (rounds.poses, rounds.hold);
-        (matched, contradicted) = (rounds.matched, rounds.contradicted);
-        inertial = rounds.inertial;
-        *report = rounds.told;
-    }
-    let look_at = |poses: &[StampedPose], keyframes: &mut Keyframes| {
-        if poses != odometry.as_slice()
-            && let Some(lidar) = rig.lidar()
-        {
-            let now = correct_trajectory(trajectory, odometry, poses);
-            let frames = &mut keyframes.frames;
-            add_lidar_features(run.source, lidar, frames, &now, config, progress)?;
-        }
-        let images = &keyframes.images;
-        find_tracks(rig, poses, images, &config.reconstruction, progress)
-    };
-    keyframes.place(&matched);
-    let mut tracks = look_at(&matched, &mut *keyframes)?;
-    keyframes.place(&current);
-    // What the last round has.
-    let (mut points, mut weights);
-    let mut scans = Vec::new();
-    let mut in_site: Option<SolvedControl>;
-    loop {
-        let [moved_m, turned_rad] = largest_move(&matched, &keyframes.poses());
-        let has_left = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
-        if (run.given || hold.is_some()) && has_left {
-            matched = keyframes.poses();
-            tracks = look_at(&matched, &mut *keyframes)?;
-        }
-        points = triangulate_round(rig, keyframes, &tracks, round, config)?;
-        // Not beside those that come: of a long walk a gigabyte.
-        scans.clear();
-        scans = scan_correspondences(&keyframes.frames, &pairs, config);
-        let lidar = lidar_residuals(&keyframes.frames, &scans);
-        let errors_px = observation_errors_px(rig, keyframes, &points);
-        if report.rounds.is_empty() {
-            let measured = Measured {
-                keyframes,
-                errors: track_errors(rig, keyframes, &points, &tracks),
-                scans: &scans,
-                max_px,
-            };
-            let errors_px = measured.put(run.regions, Moment::Before, report);
-            let errors = ErrorSummary::of(&errors_px, max_px);
-            report.reprojection_rms_before_px = errors.rms_px;
-            report.reprojection_median_before_px = errors.median_px;
-            report.lidar_before = lidar;
-        }
-        weights = Weights {
-            contradicted,
-            ..Weights::estimate(&lidar, &errors_px, &config.correlation)
-        };
-        let before = keyframes.poses();
-        let control = marks.as_ref().zip(hold.as_ref()).and_then(|(marks, hold)| {
-            let placed = marks.place(rig, &before, &config.control);
-            marks.terms(&placed, Some(hold))
-        });
-        let term = term_at(&inertial)?;
-        let terms = Terms {
-            scans: &scans,
-            odometry,
-            blind_s: &blind_s,
-            weights,
-            control: control.as_ref(),
-            imu: term.as_ref(),
-        };
-        let solved;
-        Adjusted {
-            report: solved,
-            control: in_site,
-            inertial,
-        } = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
-        drop_misplaced(
-            rig,
-            keyframes,
-            &mut points,
-            &config.reconstruction.triangulation,
-        );
-        let poses = keyframes.poses();
-        if let (Some(hold), Some(in_site)) = (&mut hold, &in_site) {
-            hold.centred_from_world = in_site.centred_from_world;
-        }
-        let [moved_m, turned_rad] = largest_move(&before, &poses);
-        // The odometry knows how well it knows its motion: wrong cameras must not talk it out of that.
-        if run.given {
-            contradicted = contradicted.seen(odometry, &poses, config);
-        }
-        let done = RoundReport {
-            plane_matches: lidar.plane_matches,
-            edge_matches: lidar.edge_matches,
-            observations: points.iter().map(|p| p.observations.len() as u64).sum(),
-            plane_sigma_m: weights.plane_sigma_m,
-            edge_sigma_m: weights.edge_sigma_m,
-            pixel_sigma_px: weights.pixel_sigma_px,
-            initial_cost: solved.initial_cost,
-            final_cost: solved.final_cost,
-            iterations: solved.iterations as u64,
-            moved_m,
-            turned_deg: turned_rad.to_degrees(),
-            start_contradicted: [contradicted.rotation, contradicted.translation],
-        };
-        let rests = done.moved_m < RESTING_M && done.turned_deg < RESTING_DEG;
-        report.rounds.push(done);
-        report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
-        round += 1;
-        let mut is_last = rests || round >= most_rounds;
-        if let (true, Some(marks), None) = (is_last, &marks, &report.control) {
-            // Held against the map before they pull at it.
-            let placed = marks.place(rig, &poses, &config.control);
-            let placing = marks.terms(&placed, None);
-            let term = term_at(&inertial)?;
-            let checked = Checked {
-                rig,
-                keyframes,
-                tracks: &tracks,
-                trajectory,
-                terms: Terms {
-                    scans: &scans,
-                    odometry,
-                    blind_s: &blind_s,
-                    weights,
-                    control: placing.as_ref(),
-                    imu: term.as_ref(),
-                },
-            };
-            let covariance_m2 = match &placing {
-                Some(_) => mark_covariance(&checked, &points, config)?,
-                None => None,
-            };
-            let (held, said) = marks.decide(&placed, covariance_m2.as_ref(), &config.control);
-            report.control = Some(said);
-            is_last = held.is_none();
-            hold = held;
-            most_rounds = round + rounds_of_start;
-        }
-        if is_last {
-            // From the odometry few rounds are made: what moves images beyond their matches is too much for that.
-            let moves = moved_m > MATCHED_M || turned_rad > MATCHED_RAD;
-            if !rests && (run.given || moves) {
-                report.warnings.push(MappingWarning::NotAtRest {
-                    rounds: round as u64,
-                    moved_m,
-                    turned_deg: turned_rad.to_degrees(),
-                });
-            }
-            break;
-        }
-        let rounds = Rounds {
-            done: round,
-            most: most_rounds,
-            poses,
-            matched: matched.clone(),
-            contradicted,
-            hold: hold.clone(),
-            inertial: inertial.clone(),
-            told: report.clone(),
-        };
-        run.stages.keep(run.name, &rounds)?;
-    }
-    report.tracks = tracks.len() as u64;
-    if !config.terms.images {
-        points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
-    }
-    let placed = marks
-        .as_ref()
-        .map(|marks| marks.place(rig, &keyframes.poses(), &config.control));
-    let held = marks.as_ref().zip(placed.as_ref()).zip(hold.as_ref());
-    let control = held.and_then(|((marks, placed), hold)| marks.terms(placed, Some(hold)));
-    let mut site = None;
-    if let (Some(((marks, placed), hold)), Some(said)) = (held, &mut report.control) {
-        match &in_site {
-            Some(in_site) => {
-                marks.say_after(said, placed, in_site);
-                site = Some(marks.site(hold));
-            }
-            None => said.lost(),
-        }
-    }
-    let term = term_at(&inertial)?;
-    report.imu = term.as_ref().map(|term| term.report(&keyframes.poses()));
-    let checked = Checked {
-        rig,
-        keyframes,
-        tracks: &tracks,
-        trajectory,
-        terms: Terms {
-            scans: &scans,
-            odometry,
-            blind_s: &blind_s,
-            weights,
-            control: control.as_ref(),
-            imu: term.as_ref(),
-        },
-    };
-    let shown = camera_errors(&checked, config, progress)?.unwrap_or_else(|warning| {
-        report.warnings.push(warning);
-        ShownCameras::none(rig)
-    });
-    report.cameras = shown.errors.clone();
-    let factor = hold.as_ref().map_or(1.0, |hold| hold.map_factor);
-    let covariances = match pose_covariances(&checked, &points, config, progress)? {
-        Ok(known) => known
-            .into_iter()
-            .map(|c| Some(c * factor * factor))
-            .collect(),
-        Err(warning) => {
-            report.warnings.push(warning);
-            Vec::new()
-        }
-    };
-    let measured = Measured {
-        keyframes,
-        errors: track_errors(rig, keyframes, &points, &tracks),
-        scans: &scans,
-        max_px,
-    };
-    report.reprojection_errors_px = measured.put(run.regions, Moment::After, report);
-    let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
-    report.reprojection_rms_px = errors.rms_px;
-    report.reprojection_median_px = errors.median_px;
-    report.outlier_share = errors.share_beyond;
-    drop_outliers(rig, keyframes, &mut points, max_px);
-    put_coverage(run.regions, keyframes, &points, &mut report.by_region);
-    report.points = points.len() as u64;
-    report.observations = points.iter().map(|p| p.observations.len() as u64).sum();
-    let all = report.reprojection_errors_px.len() as u64;
-    report.dropped_observations = all - report.observations.min(all);
-    if errors.share_beyond > USUAL_OUTLIER_SHARE {
-        report.warnings.push(MappingWarning::ManyOutliers {
-            share: errors.share_beyond,
-            max_px,
-        });
-    }
-    expect_map(&points, &keyframes.images)?;
-    let optimised = Optimised {
-        poses: keyframes.poses(),
-        points,
-        covariances,
-        refined: None,
-        site,
-    };
-    Ok((optimised, shown))
-}
-
-/// Points at the current poses: of observations far off while the poses are still wrong, of close ones later.
-fn triangulate_round(
-    rig: &Rig,
-    keyframes: &Keyframes,
-    tracks: &[Track],
-    round: usize,
-    config: &MappingConfig,
-) -> Result<Vec<MapPoint>, Error> {
-    let slack = if round == 0 { 3.0 } else { 1.0 };
-    let triangulation = TriangulationConfig {
-        max_reprojection_px: slack * config.reconstruction.triangulation.max_reprojection_px,
-        ..config.reconstruction.triangulation.clone()
-    };
-    let poses = keyframes.poses();
-    let mut points = triangulate_tracks(rig, &poses, &keyframes.images, tracks, &triangulation)?;
-    drop_misplaced(rig, keyframes, &mut points, &triangulation);
-    Ok(points)
-}
-
-/// What stands nearer before a lens is a wrong match, metres: it would count as a measurement of micrometres, and leave the pose of
-/// its camera undetermined beside all others.
-const LEAST_DEPTH_M: f64 = 0.1;
-
-/// Takes out points before a lens, and those so far away that they have no place.
-fn drop_misplaced(
-    rig: &Rig,
-    keyframes: &Keyframes,
-    points: &mut Vec<MapPoint>,
-    config: &TriangulationConfig,
-) {
-    points.retain(|point| {
-        let cameras = keyframes.cameras_of(rig, point);
-        keyframes.nearest_camera_m(rig, point) >= LEAST_DEPTH_M
-            && !has_no_place(&point.point_in_world, cameras, config)
-    });
 }
 
 /// The odometry's trajectory bent through the optimised keyframes.

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use super::adjustment::{Terms, adjust};
 use super::keyframes::{Keyframe, Keyframes};
+use super::rounds::{RESTING_DEG, RESTING_M, largest_move};
 use super::scan_pairs::{Compared, scan_correspondences, scan_pairs};
 use super::weights::{Contradicted, Weights, lidar_residuals};
-use super::{LidarResiduals, MappingConfig, RESTING_DEG, RESTING_M, largest_move};
+use super::{LidarResiduals, MappingConfig};
 use crate::Error;
 use crate::lidar_features::{LidarFeatureConfig, LidarFeatures};
 

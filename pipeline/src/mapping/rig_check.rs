@@ -17,7 +17,8 @@ use super::camera_error::{
     CLOCK_LIMITS_S, CameraError, FOCAL_LIMITS, SHIFT_LIMITS_M, TURN_LIMITS_DEG,
 };
 use super::keyframes::Keyframes;
-use super::{MappingConfig, MappingWarning, triangulate_round};
+use super::placed_points::triangulate_round;
+use super::{MappingConfig, MappingWarning};
 use crate::Error;
 use crate::features::tracks::Track;
 use crate::hd_map::{CERTAIN_VIEWS, FreedCameras, MapPoint, Sights};

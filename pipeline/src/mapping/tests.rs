@@ -2,14 +2,16 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector2, Vector3};
+use lsfb_geometry::{Camera, Matrix6, RigCamera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Finding, Progress, Stopped, Timestamp, Verdict, no_progress};
 use nalgebra::Matrix3;
 
+use super::placed_points::drop_misplaced;
 use super::*;
 use crate::features::Features;
-use crate::hd_map::{Click, ControlPoint, KeyframeImage, PointObservation};
+use crate::features::triangulation::TriangulationConfig;
+use crate::hd_map::{Click, ControlPoint, KeyframeImage, MapPoint, PointObservation};
 use crate::odometry::OdometryConfig;
 use crate::odometry::tests::room::{self, Room};
 

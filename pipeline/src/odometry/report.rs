@@ -1,10 +1,13 @@
 //! What the odometry says about its result.
 
+use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::point_clock::DeskewReport;
 use super::unseen::UnseenStretch;
-use super::warning::OdometryWarning;
+use super::warning::{
+    LEAST_AGREEMENT, MAX_SIGMA_M, OdometryWarning, RARE_SCANS_S, USUAL_AGREEMENT,
+};
 
 /// What the odometry says about its own result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -65,23 +68,50 @@ pub struct OdometryReport {
     pub warnings: Vec<OdometryWarning>,
 }
 
-/// Where a pose may be farther off than this in one direction, its place is not found, metres.
-const MAX_SIGMA_M: f64 = 1.0;
-
-/// Scans that are farther apart than this see too little in common for their covariances to be relied on, seconds.
-const RARE_SCANS_S: f64 = 1.0;
-
-/// Where scans are deskewed by times and an IMU leads, more of a scan than this agrees with the map: 0.84 and more in nine simulated places, 0.44 with
-/// an accelerometer of the wrong sign.
-const USUAL_AGREEMENT: f64 = 0.6;
-/// The same over ten seconds, in which somebody may go through a door.
-const LEAST_AGREEMENT: f64 = 0.5;
-
 impl OdometryReport {
+    /// Everything that was looked at, good or not.
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        if self.lost == 0 && self.skipped == 0 && self.registered > 0 {
+            let what = format!("all {} scans have a pose", self.scans);
+            findings.push(
+                Finding::new("registered", Verdict::Pass, "scans", what)
+                    .value(self.registered as f64, ""),
+            );
+        }
+        let [at_s, sigma_m] = self.largest_sigma;
+        if sigma_m <= MAX_SIGMA_M && self.sigma_at_end_m <= MAX_SIGMA_M && self.registered > 0 {
+            let what = format!(
+                "every pose is known to {sigma_m:.3} m (one standard deviation; the worst at {at_s:.1} s)"
+            );
+            findings.push(
+                Finding::new("known", Verdict::Pass, "poses", what)
+                    .value(sigma_m, "m")
+                    .limit(Limit::AtMost(MAX_SIGMA_M)),
+            );
+        }
+        if self.imu_leads() && self.little_agreement().is_none() {
+            let share_percent = 100.0 * self.mean_inlier_ratio;
+            let what = format!("{share_percent:.0} % of a scan agrees with the map on average");
+            findings.push(
+                Finding::new("agreement", Verdict::Pass, "IMU and scans", what)
+                    .value(share_percent, "%")
+                    .limit(Limit::AtLeast(100.0 * USUAL_AGREEMENT)),
+            );
+        }
+        findings.extend(self.warnings.iter().map(OdometryWarning::finding));
+        findings
+    }
+
+    /// Whether what agrees with the map tells of the IMU.
+    fn imu_leads(&self) -> bool {
+        let leads = self.imu_samples > 0 && self.deskew.by_times > self.deskew.none;
+        leads && self.registered >= 2
+    }
+
     /// What an IMU that measures something else makes of a walk, or of a part of it, where it shows in nothing else.
     pub(super) fn little_agreement(&self) -> Option<OdometryWarning> {
-        let leads = self.imu_samples > 0 && self.deskew.by_times > self.deskew.none;
-        if !leads || self.registered < 2 {
+        if !self.imu_leads() {
             return None;
         }
         let share = self.mean_inlier_ratio;
@@ -192,6 +222,12 @@ mod tests {
         assert!(said.what.contains("44 %"), "{}", said.what);
         report.mean_inlier_ratio = 0.84;
         assert_eq!(report.little_agreement(), None);
+        let codes = |report: &OdometryReport| -> Vec<_> {
+            report.findings().into_iter().map(|f| f.code).collect()
+        };
+        assert_eq!(codes(&report), ["registered", "known", "agreement"]);
+        // Nothing is good of which nothing is there.
+        assert_eq!(codes(&OdometryReport::default()), [""; 0]);
         // Scans without times and without IMU agree less in streets.
         (report.mean_inlier_ratio, report.imu_samples) = (0.5, 0);
         assert_eq!(report.little_agreement(), None);

@@ -95,6 +95,16 @@ fn positive(direction: &Vector3<f64>) -> [f64; 3] {
     (direction * largest.signum()).into()
 }
 
+impl UnseenStretch {
+    /// How uncertain the last pose is: metres or degrees.
+    pub(super) fn sigma_with_unit(&self) -> (f64, &'static str) {
+        match self.motion {
+            MotionKind::Shift => (self.sigma_at_end, "m"),
+            MotionKind::Turn => (self.sigma_at_end.to_degrees(), "°"),
+        }
+    }
+}
+
 /// As a sentence.
 impl std::fmt::Display for UnseenStretch {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

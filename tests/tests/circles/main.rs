@@ -28,7 +28,8 @@ fn crates() -> Vec<(String, PathBuf)> {
         entries.map(|e| e.unwrap().path()).collect::<Vec<_>>()
     };
     let mut found = Vec::new();
-    for folder in below(&root).into_iter().chain(below(&root.join("crates"))) {
+    let folders = ["", "crates", "tests"].map(|within| below(&root.join(within)));
+    for folder in folders.into_iter().flatten() {
         let roots = ["lib.rs", "main.rs"].map(|file| folder.join("src").join(file));
         for file in roots.into_iter().filter(|file| file.exists()) {
             let name = folder.file_name().unwrap().to_string_lossy().into_owned();
@@ -36,7 +37,7 @@ fn crates() -> Vec<(String, PathBuf)> {
         }
     }
     found.sort();
-    assert!(found.len() >= 13, "crates are missing: {found:?}");
+    assert!(found.len() >= 22, "crates are missing: {found:?}");
     found
 }
 

@@ -20,9 +20,9 @@ use crate::outcome::Outcome;
 /// written. kapture is a folder, MCAP a ROS 2 bag with PoseStamped (PoseWithCovarianceStamped where every pose has a covariance).
 ///
 /// Examples:
-///   lsfb convert walk.tum --to kitti --out poses.txt            # and poses_times.txt
-///   lsfb convert poses.txt --times poses_times.txt --to mcap --out walk.mcap
-///   lsfb convert robot.mcap --stream /odometry --to tum --out robot.tum
+///   lsfb convert walk.tum --format kitti --out poses.txt            # and poses_times.txt
+///   lsfb convert poses.txt --times poses_times.txt --format mcap --out walk.mcap
+///   lsfb convert robot.mcap --stream /odometry --format tum --out robot.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -31,7 +31,7 @@ pub struct Arguments {
     trajectory: PathBuf,
     /// The format of the result.
     #[arg(long, value_name = "FORMAT", value_parser = formats())]
-    to: TrajectoryFormat,
+    format: TrajectoryFormat,
     /// The file; for kapture the folder.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -40,7 +40,7 @@ pub struct Arguments {
     times: Option<PathBuf>,
     /// Unit of the stamps, where the file does not tell: s, ms, us or ns.
     #[arg(long, value_name = "UNIT")]
-    stamps: Option<StampUnit>,
+    stamp_unit: Option<StampUnit>,
     /// Columns of the file, where it does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
     #[arg(long, value_name = "NAMES")]
     columns: Option<Columns>,
@@ -60,9 +60,9 @@ fn formats() -> impl TypedValueParser<Value = TrajectoryFormat> {
 
 /// Reads, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let format = arguments.to;
+    let format = arguments.format;
     let options = ReadOptions {
-        stamp_unit: arguments.stamps,
+        stamp_unit: arguments.stamp_unit,
         columns: arguments.columns,
         stream: arguments.stream.clone(),
         times: arguments.times.clone(),

@@ -67,10 +67,10 @@ pub struct Arguments {
     out: Option<PathBuf>,
     /// Unit of the estimate's stamps, where the file does not tell: s, ms, us or ns.
     #[arg(long, value_name = "UNIT")]
-    estimate_stamps: Option<StampUnit>,
+    estimate_stamp_unit: Option<StampUnit>,
     /// Unit of the ground truth's stamps, likewise.
     #[arg(long, value_name = "UNIT")]
-    truth_stamps: Option<StampUnit>,
+    truth_stamp_unit: Option<StampUnit>,
     /// Columns of the estimate, where the file does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
     #[arg(long, value_name = "NAMES")]
     estimate_columns: Option<Columns>,
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let truth = read_trajectory(
         &arguments.truth,
         &ReadOptions {
-            stamp_unit: arguments.truth_stamps,
+            stamp_unit: arguments.truth_stamp_unit,
             columns: arguments.truth_columns,
             stream: arguments.truth_stream.clone(),
             times: arguments.truth_times.clone(),
@@ -102,7 +102,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let estimate = read_trajectory(
         &arguments.estimate,
         &ReadOptions {
-            stamp_unit: arguments.estimate_stamps,
+            stamp_unit: arguments.estimate_stamp_unit,
             columns: arguments.estimate_columns,
             stream: arguments.estimate_stream.clone(),
             times: arguments.estimate_times.clone(),

@@ -85,9 +85,9 @@ struct BuildArguments {
     /// z upwards. Those that agree hold the map, and it and its trajectory are in their frame.
     #[arg(long, value_name = "CSV", requires = "marks")]
     control_points: Option<PathBuf>,
-    /// Hold out every N-th of those images, to localize them later.
-    #[arg(long, value_name = "N", requires = "posed_images")]
-    holdout_every: Option<usize>,
+    /// Hold out every n-th of those images, to localize them later.
+    #[arg(long, value_name = "N", requires = "posed_images", value_parser = clap::value_parser!(u32).range(2..))]
+    holdout_every: Option<u32>,
     /// The map to write, a folder.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
@@ -374,7 +374,8 @@ fn from_posed_images(
     }
     super::expect_file(folder, "name a folder of posed images")?;
     context.claim(&arguments.out, &[])?;
-    let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
+    let posed =
+        PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0) as usize);
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
     provenance_of(folder, &posed, &map, &config)

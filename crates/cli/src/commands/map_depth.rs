@@ -26,7 +26,7 @@ use crate::outcome::Outcome;
 ///
 /// Examples:
 ///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
-///   lsfb map depth scan.mcap --trajectory scan.tum --poses walk.tum --rig glasses.toml --cameras cam0 --every 10 --out depth
+///   lsfb map depth scan.mcap --trajectory scan.tum --poses walk.tum --rig glasses.toml --camera cam0 --every 10 --out depth
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct DepthArguments {
@@ -42,10 +42,10 @@ pub struct DepthArguments {
     /// The rig that carries the cameras; by default the scanner's.
     #[arg(long, value_name = "TOML", requires = "poses")]
     rig: Option<PathBuf>,
-    /// Cameras to use; by default all of the rig's.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    /// Camera to use, once for each; by default all of the rig's.
+    #[arg(long = "camera", value_name = "NAME")]
     cameras: Vec<String>,
-    /// Every how many poses.
+    /// Use only every n-th pose.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
     /// Folder to write to.

@@ -8,13 +8,14 @@ use lsfb_pipeline::loops::{Closing, Loops, close_loops, find_loops};
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport, OdometryResult};
 use lsfb_pipeline::stored_clouds::{STORED_SHARE, StoredReport, StoringConfig, store_clouds};
 use lsfb_recording::{Provenance, write_tum};
-use lsfb_types::Verdict;
+use lsfb_types::{Finding, Verdict};
 use serde::Serialize;
 
 use super::covariance_file;
 use super::odometry_input::{Choice, InputReport, is_ours, run as run_on};
 use crate::context::Context;
 use crate::files;
+use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
 /// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
@@ -54,7 +55,7 @@ pub struct Arguments {
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
     /// Look for loops, close them, and write the list of them here.
-    #[arg(long, alias = "loops-out", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     out_loops: Option<PathBuf>,
     /// Close the loops that this list accepts, and look for no others.
     #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
@@ -76,10 +77,10 @@ pub struct Arguments {
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Topic of the scans, where a bag has several.
-    #[arg(long = "lidar-topic", alias = "lidar", value_name = "TOPIC")]
+    #[arg(long = "lidar-topic", visible_alias = "lidar", value_name = "TOPIC")]
     lidar: Option<String>,
     /// Topic of the inertial samples, where a bag has several.
-    #[arg(long = "imu-topic", alias = "imu", value_name = "TOPIC")]
+    #[arg(long = "imu-topic", visible_alias = "imu", value_name = "TOPIC")]
     imu: Option<String>,
     /// Scans per second of a folder of clouds without times: neither in the points, nor in the file names, nor in a list beside them.
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]
@@ -122,19 +123,14 @@ fn share_percent(text: &str) -> Result<f64, String> {
     share.ok_or_else(|| "expected a number from 1 to 100".to_owned())
 }
 
-/// Stores the clouds that are asked for; `None` where none are, or the trajectory is wrong.
+/// Stores the clouds that are asked for.
 fn store(
+    path: &Path,
     arguments: &Arguments,
     config: &OdometryConfig,
     result: &OdometryResult,
     context: &Context,
-) -> anyhow::Result<Option<StoredReport>> {
-    let Some(path) = &arguments.out_clouds else {
-        return Ok(None);
-    };
-    if fails(&result.report) {
-        return Ok(None);
-    }
+) -> anyhow::Result<StoredReport> {
     let recording = context.open(&arguments.input)?;
     let storing = StoringConfig {
         odometry: config,
@@ -142,14 +138,7 @@ fn store(
         share: arguments.clouds_percent / 100.0,
     };
     let progress = |p| context.show(p);
-    let stored = store_clouds(&recording, result, &storing, path, &progress)?;
-    Ok(Some(stored))
-}
-
-/// Whether what was found makes the trajectory wrong for certain.
-fn fails(report: &OdometryReport) -> bool {
-    let mut warnings = report.warnings.iter();
-    warnings.any(|w| w.finding().verdict == Verdict::Fail)
+    Ok(store_clouds(&recording, result, &storing, path, &progress)?)
 }
 
 /// Closes the loops that are asked for; `None` where none are.
@@ -266,14 +255,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for input in arguments.rig.iter().chain(&arguments.loops) {
         provenance.add_input(input)?;
     }
-    let findings = found.result.report.warnings.iter().map(|w| w.finding());
-    let failures = findings.filter(|finding| finding.verdict == Verdict::Fail);
-    let failures = failures.map(|failure| failure.sentence()).collect();
+    let judgement = found.judgement();
+    let failures = judgement.findings().iter();
+    let failures = failures.filter(|finding| finding.verdict == Verdict::Fail);
+    let failures = failures.map(Finding::sentence).collect();
     provenance.with_failures(failures).write(&arguments.out)?;
-    let clouds = store(arguments, &config, &found.result, context)?;
-    if let (Some(path), Some(_)) = (&arguments.out_clouds, &clouds) {
+    // None of a trajectory that is wrong.
+    let out_clouds = arguments.out_clouds.as_deref();
+    let out_clouds = out_clouds.filter(|_| judgement.verdict() != Verdict::Fail);
+    let clouds = out_clouds.map(|path| {
+        let stored = store(path, arguments, &config, &found.result, context)?;
         provenance.write(path)?;
-    }
+        anyhow::Ok(stored)
+    });
+    let clouds = clouds.transpose()?;
     let r = &found.result.report;
     let report = Report {
         odometry: r,
@@ -281,12 +276,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         loops,
         clouds,
     };
-    context.print(&report, || {
+    let summary = format!("{} of {} scans registered", r.registered, r.scans);
+    context.print(&Judged::new(&judgement, &summary, &report), || {
         let mut text = format!(
-            "{}: {} of {} scans registered, {:.2} m of path, {:.1} mm to the map's planes",
+            "{}: {summary}, {:.2} m of path, {:.1} mm to the map's planes",
             arguments.out.display(),
-            r.registered,
-            r.scans,
             r.path_length_m,
             r.plane_rms_m * 1e3
         );
@@ -304,17 +298,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if let Some(path) = &arguments.out_clouds {
             text += &about_clouds(path, clouds.as_ref());
         }
-        let of_odometry = r.warnings.iter().map(|w| match w.finding() {
-            failure if failure.verdict == Verdict::Fail => format!("FAIL {}", failure.what),
-            warning => warning.what,
-        });
-        for warning in of_odometry.chain(found.input.warnings.iter().cloned()) {
-            text += &format!("\n  {warning}");
-        }
-        text
+        text += &format!("\n{}", problem_lines(&judgement));
+        text.trim_end().to_owned()
     })?;
-    Ok(match (fails(r), r.is_whole()) {
-        (true, _) => Outcome::JudgementFailed,
+    Ok(match (judgement.verdict(), r.is_whole()) {
+        (Verdict::Fail, _) => Outcome::JudgementFailed,
         (_, true) => Outcome::Done,
         (_, false) => Outcome::DataLost,
     })

@@ -40,7 +40,7 @@ use crate::standing;
 ///
 /// Examples:
 ///   lsfb vio walk.mcap --out walk.tum
-///   lsfb vio walk.mcap --cameras cam0 --out mono.tum --json
+///   lsfb vio walk.mcap --camera cam0 --out mono.tum --json
 ///   lsfb vio MH_01_easy/mav0 --out mh01.tum
 ///   lsfb vio dataset-room1_512_16 --rig rig.toml --out room1.tum
 #[derive(clap::Args)]
@@ -52,8 +52,8 @@ pub struct Arguments {
     /// The trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Cameras to use; by default all of the rig's.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    /// Camera to use, once for each; by default all of the rig's.
+    #[arg(long = "camera", value_name = "NAME")]
     cameras: Vec<String>,
     /// The device's rig, instead of the recording's own.
     #[arg(long, value_name = "TOML")]

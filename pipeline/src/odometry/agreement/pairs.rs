@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::chain::Chain;
 use super::scans::{GATE_M, Scans, seen_off_m};
 use crate::odometry::OdometryConfig;
+use crate::odometry::warning::MAX_APART_M;
 
 /// From the scan in the middle of the map to the one that is registered, seconds: at least and at most.
 const LATER_S: std::ops::RangeInclusive<f64> = 0.9..=1.3;
@@ -27,8 +28,6 @@ const IN_A_STRETCH: usize = 3;
 const UNCHECKED_S: f64 = 10.0;
 /// A pair of which less lies on each other tells nothing.
 const MIN_OVERLAP: f64 = 0.4;
-/// Half of the pairs of a stretch are off by more: metres. Right ones come to three centimetres at most.
-const OFF_M: f64 = 0.06;
 /// A chain counts where its scans lie so much better on each other: right walks come to 0.08, wrong ones to 0.4 and more.
 const BETTER: f64 = 0.15;
 
@@ -104,7 +103,7 @@ fn judged(pairs: &[Pair], lasts_s: f64) -> Laid {
             to_s: stretch.last()?.to_s,
         })
     });
-    let off = stretches.filter(|stretch| stretch.off_m > OFF_M);
+    let off = stretches.filter(|stretch| stretch.off_m > MAX_APART_M);
     let off = off.max_by(|a, b| a.off_m.total_cmp(&b.off_m));
     if told.len() < IN_A_STRETCH {
         return Laid {
@@ -132,7 +131,7 @@ fn pair_off(
     let Some(chain) = Chain::new(scans, config, first, second, MIN_OVERLAP) else {
         return by_map;
     };
-    if chain.off_m <= OFF_M.max(by_map.unwrap_or(0.0)) {
+    if chain.off_m <= MAX_APART_M.max(by_map.unwrap_or(0.0)) {
         return by_map.or(Some(chain.off_m));
     }
     match chain.better(scans, config) {

@@ -26,7 +26,7 @@ use crate::twin_truth::{judge_scan, judge_walk};
 /// every pose is wrong. The exit code is 4 if any wrong pose is given. What is finished is not run again. Writes wrong-place.json.
 ///
 /// Examples:
-///   lsfb bench twin --out trial --try-out --true-rigs --seeds 2 --conditions as-scanned,six-months,other-floor --keep-recordings
+///   lsfb bench twin --out trial --try-out --true-rigs --seeds 2 --condition as-scanned,six-months,other-floor --keep-recordings
 ///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

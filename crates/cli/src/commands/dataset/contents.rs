@@ -30,7 +30,7 @@ pub struct Settings {
     pub seed: u64,
     pub scale_percent: f64,
     /// Shortest walk, seconds.
-    pub least_secs: f64,
+    pub min_secs: f64,
     pub small_images: bool,
     pub sequences: Vec<String>,
 }
@@ -99,7 +99,7 @@ impl Contents<'_> {
     fn duration_s(&self, sequence: &PlannedSequence<'_>) -> f64 {
         let whole_s = sequence.duration_s;
         let scaled_s = 0.01 * self.settings.scale_percent * whole_s;
-        scaled_s.max(self.settings.least_secs.min(whole_s))
+        scaled_s.max(self.settings.min_secs.min(whole_s))
     }
 
     /// Makes and packs it unless it is packed. `last` is as [`Wanted::record`] has it.
@@ -175,7 +175,7 @@ impl Contents<'_> {
             let all = self.plan.sequences();
             let here = all.iter().filter(|s| s.motion.environment == *environment);
             let longest_s = here.map(|s| self.duration_s(s)).fold(0.0, f64::max);
-            config.scan.duration_s = longest_s.max(LEAST_SCAN * self.settings.least_secs);
+            config.scan.duration_s = longest_s.max(LEAST_SCAN * self.settings.min_secs);
         }
         if let Wish::Walk(sequence) = wish {
             config.glasses.duration_s = self.duration_s(sequence);

@@ -28,8 +28,8 @@ use crate::outcome::Outcome;
 /// never in the recordings.
 ///
 /// Examples:
-///   lsfb dataset export dataset C3-android --layout euroc --out c3
-///   lsfb dataset export dataset C3-android --layout colmap --out c3-model --hidden-regions faces.txt
+///   lsfb dataset export dataset C3-android --format euroc --out c3
+///   lsfb dataset export dataset C3-android --format colmap --out c3-model --hidden-regions faces.txt
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -39,9 +39,9 @@ pub struct Arguments {
     /// The sequence.
     #[arg(value_name = "NAME")]
     sequence: String,
-    /// The files.
-    #[arg(long, value_enum)]
-    layout: Program,
+    /// Whose files.
+    #[arg(long, value_name = "FORMAT", value_enum)]
+    format: Program,
     /// Folder to write them to.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         without_lens: Vec::new(),
         without_beacon: 0,
     };
-    let (layout, images) = match arguments.layout {
+    let (layout, images) = match arguments.format {
         Program::Euroc => (Layout::Euroc, out.clone()),
         Program::TumVi => (Layout::TumVi, out.clone()),
         Program::Kitti => (Layout::Kitti, out.clone()),
@@ -117,9 +117,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         // A text: what is hidden in images is in none.
         Program::IndoorLocation => (Layout::AsIs, out.clone()),
     };
-    let places_images = matches!(arguments.layout, Program::Kapture | Program::Colmap);
+    let places_images = matches!(arguments.format, Program::Kapture | Program::Colmap);
     let needs_truth =
-        places_images || matches!(arguments.layout, Program::Lamar | Program::IndoorLocation);
+        places_images || matches!(arguments.format, Program::Lamar | Program::IndoorLocation);
     anyhow::ensure!(
         !needs_truth || !truth.is_empty(),
         "{}: no truth, which places the images or waypoints there: choose euroc or images",
@@ -128,11 +128,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let around = images.parent().unwrap_or(out);
     std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
     export_without(&recording, layout, &hidden, &images)?;
-    if matches!(arguments.layout, Program::Euroc | Program::TumVi) {
+    if matches!(arguments.format, Program::Euroc | Program::TumVi) {
         exported.without_lens = without_lens(out)?;
     }
     let truth = Trajectory::new(truth);
-    match arguments.layout {
+    match arguments.format {
         Program::Lamar => {
             let rig = recording.rig()?;
             let cameras = camera_rows(&rig)?;
@@ -152,7 +152,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         _ => {}
     }
     if places_images {
-        let (format, below) = match arguments.layout {
+        let (format, below) = match arguments.format {
             Program::Kapture => (MapFormat::Kapture, out.clone()),
             _ => (MapFormat::ColmapText, out.join("sparse")),
         };
@@ -163,7 +163,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
     }
     if !truth.is_empty() {
-        let euroc = match arguments.layout {
+        let euroc = match arguments.format {
             Program::Euroc => Some("mav0/state_groundtruth_estimate0/data.csv"),
             Program::TumVi => Some("mav0/mocap0/data.csv"),
             _ => None,

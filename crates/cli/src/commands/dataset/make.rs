@@ -15,7 +15,7 @@ use crate::outcome::Outcome;
 /// Simulate the sequences of the plan, and pack them as a dataset with rigs, hashes, a licence and the truth in a folder of its own.
 ///
 /// Walks go beside the scanner's path. At less than 100 percent they take that share of their time and way, but no less than
-/// --least-secs; the scanner takes as long as the longest walk of its environment, and no less than four times --least-secs. Goes on where it was stopped: what is packed is not made
+/// --min-secs; the scanner takes as long as the longest walk of its environment, and no less than four times --min-secs. Goes on where it was stopped: what is packed is not made
 /// again. What it needs for that lies in FOLDER.making: the seed, by which the truth can be made again, and the key of the
 /// hashed identifiers. Keep that folder to yourself.
 ///
@@ -34,24 +34,19 @@ pub struct Arguments {
     scale_percent: f64,
     /// Shortest walk, unless the whole sequence is shorter.
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = secs)]
-    least_secs: f64,
+    min_secs: f64,
     /// Images of three quarters of the size, scans with five images a second: a tenth of the work.
     #[arg(long)]
     small_images: bool,
     /// Sequences of `lsfb dataset plan`, separated by commas; without it all 75.
-    #[arg(
-        long = "sequence",
-        visible_alias = "sequences",
-        value_name = "NAME",
-        value_delimiter = ','
-    )]
+    #[arg(long = "sequence", value_name = "NAME", value_delimiter = ',')]
     sequences: Vec<String>,
     /// Seed of the buildings, the walks and the noise. Choose one that nobody guesses where the truth is held back.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
     /// Licence of the dataset, a text file; without it a note on CC BY 4.0.
     #[arg(long, value_name = "FILE")]
-    license: Option<PathBuf>,
+    licence: Option<PathBuf>,
 }
 
 fn percent(text: &str) -> Result<f64, String> {
@@ -89,7 +84,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let settings = Settings {
         seed: arguments.seed,
         scale_percent: arguments.scale_percent,
-        least_secs: arguments.least_secs,
+        min_secs: arguments.min_secs,
         small_images: arguments.small_images,
         sequences: wanted.iter().map(|s| s.name.clone()).collect(),
     };
@@ -128,11 +123,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         description.queries.push(contents.entry(sequence));
     }
     write(&folder.path().join("README.txt"), README)?;
-    let license = match &arguments.license {
+    let licence = match &arguments.licence {
         Some(path) => crate::files::about(path, std::fs::read(path))?,
         None => LICENSE.as_bytes().to_vec(),
     };
-    write(&folder.path().join("LICENSE.txt"), license)?;
+    write(&folder.path().join("LICENSE.txt"), licence)?;
     let made = Made {
         dataset: &arguments.out,
         walks: description.queries.len(),

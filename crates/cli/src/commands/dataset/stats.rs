@@ -29,12 +29,7 @@ pub struct Arguments {
     #[arg(value_name = "FOLDER")]
     dataset: PathBuf,
     /// Sequences, separated by commas; without it all.
-    #[arg(
-        long = "sequence",
-        visible_alias = "sequences",
-        value_name = "NAME",
-        value_delimiter = ','
-    )]
+    #[arg(long = "sequence", value_name = "NAME", value_delimiter = ',')]
     sequences: Vec<String>,
 }
 

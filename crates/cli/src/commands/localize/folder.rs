@@ -63,8 +63,13 @@ pub fn read(
         None => with_own_rig(listed),
     };
     let mut found = with_cameras.with_context(|| folder.display().to_string())?;
-    let chosen = found.images.into_iter().skip(arguments.every - 1);
-    found.images = chosen.step_by(arguments.every).collect();
+    let nth = arguments.every as usize;
+    found.images = found
+        .images
+        .into_iter()
+        .skip(nth - 1)
+        .step_by(nth)
+        .collect();
     Ok(found)
 }
 

@@ -57,7 +57,7 @@ impl Input {
             for note in &posed.notes {
                 context.say(&format!("warning: {}: {note}", path.display()));
             }
-            return Ok(Self::of_posed(&posed.every(arguments.every)));
+            return Ok(Self::of_posed(&posed.every(arguments.every as usize)));
         }
         crate::files::expect_file(path, "name a walk (MCAP) or a folder of images")?;
         if path.is_file() {

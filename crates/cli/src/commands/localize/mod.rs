@@ -58,9 +58,9 @@ pub struct Arguments {
     /// nerfstudio's transforms.json, a kapture, or a project or model of COLMAP. Reports how many were placed correctly.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
-    /// Use only every N-th image.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    every: usize,
+    /// Use only every n-th image.
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
     /// The rig of a folder of images, instead of the intrinsics in it.
     #[arg(long, value_name = "TOML", conflicts_with = "posed_images")]
     rig: Option<PathBuf>,
@@ -131,10 +131,6 @@ struct Recall {
 
 /// Localizes, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    anyhow::ensure!(
-        arguments.every > 0,
-        "--every 0 uses no image: give 1 or more"
-    );
     let (map, input) = input::resolve(arguments)?;
     let results = [
         &arguments.out,

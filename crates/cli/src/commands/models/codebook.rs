@@ -36,7 +36,7 @@ pub struct CodebookArguments {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Time between images that are used, of each camera.
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
+    #[arg(long, value_name = "SECS", default_value_t = 1.0)]
     every_secs: f64,
 }
 

@@ -12,6 +12,7 @@ use lsfb_datasets::RosBag;
 use lsfb_drivers::any_lidar::Model;
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryResult, run_odometry};
 use lsfb_recording::Recording;
+use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
 use crate::commands::{about, expect_file};
@@ -47,6 +48,18 @@ pub struct InputReport {
 pub struct Run {
     pub result: OdometryResult,
     pub input: InputReport,
+}
+
+impl Run {
+    /// What is found about the trajectory, and about what it was made from.
+    pub fn judgement(&self) -> Judgement {
+        let mut findings = self.result.report.findings();
+        let of_input = self.input.warnings.iter();
+        findings.extend(
+            of_input.map(|what| Finding::new("input", Verdict::Warn, "input", what.clone())),
+        );
+        Judgement::new(findings)
+    }
 }
 
 /// Runs the odometry on whatever the input is.

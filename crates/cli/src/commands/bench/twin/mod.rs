@@ -43,23 +43,23 @@ use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --quick
-///   lsfb bench twin --out trial --places atrium,stairs --devices glasses --seeds 3 --seed 11
+///   lsfb bench twin --out trial --place atrium,stairs --device glasses --seeds 3 --seed 11
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Folder for maps, trajectories and the report.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Environments of `lsfb sim --place`, separated by commas; without it all nine of the paper.
+    /// Environments of `lsfb sim --place`, separated by commas (--places is the same); without it all nine of the paper.
     #[arg(long = "place", visible_alias = "places", value_name = "NAME", value_parser = place, value_delimiter = ',')]
     places: Vec<Place>,
-    /// Devices of the walks, separated by commas; without it android, iphone and glasses.
+    /// Devices of the walks, separated by commas (--devices is the same, and here no file of devices); without it android, iphone and glasses.
     #[arg(long = "device", visible_alias = "devices", value_name = "NAME", value_parser = device, value_delimiter = ',')]
     devices: Vec<Device>,
     /// How the place has changed between scan and walk, separated by commas: as-scanned; six-months, in which half of what
     /// people move has been moved; crowd, with a dozen people more; other-floor, on another floor that is built alike, where every
     /// pose is wrong; night, with few lamps lit; fire-door, with a door closed that stood open (large-office, house-park, both corridors).
-    #[arg(long = "condition", visible_alias = "conditions", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
+    #[arg(long = "condition", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
     /// Number of seeds.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
