@@ -21,9 +21,10 @@ use crate::outcome::Outcome;
 
 /// Calibrate the cameras' poses and clocks relative to the IMU, from a walk in front of a board.
 ///
-/// The rig must hold the lenses, the cameras' poses relative to each other (`lsfb calib camera`) and the noise of the IMU. Images in
-/// folders are named by their stamps in nanoseconds. If the reprojection errors are larger than any detector's noise, no rig is
-/// written, the page says why, and the exit code is 4.
+/// The rig must hold the lenses, the cameras' poses relative to each other (`lsfb calib camera`) and
+/// the noise of the IMU. Images in folders are named by their stamps in nanoseconds. If the
+/// reprojection error is larger than the noise of any detector, no rig is written, the page says why,
+/// and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml

@@ -14,7 +14,7 @@ use super::calib_result::Results;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Import a rig from the files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
+/// Import a rig from files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
 ///
 /// Anything that was not understood is listed.
 ///
@@ -33,7 +33,7 @@ pub struct ImportArguments {
     /// The files, in the order of the examples.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Rig to put the cameras into; what the files do not say is kept.
+    /// Rig to put the cameras into; anything that the files do not specify is kept.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// The rig to write; may be the one given with --rig.
@@ -41,7 +41,7 @@ pub struct ImportArguments {
     out: PathBuf,
 }
 
-/// Export a rig to the files of Kalibr, ROS, COLMAP or Basalt.
+/// Export a rig for Kalibr, ROS, COLMAP or Basalt.
 ///
 /// Examples:
 ///   lsfb calib export kalibr rig.toml --out kalibr

@@ -15,12 +15,14 @@ use crate::files::expect_file;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
-/// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
-/// StrayScanner, MARSLogger, VideoIMUCapture, Spectacular Rec, kapture, sessions of LaMAR, VRS files of Project Aria.
+/// Convert a recording of another program or phone app.
 ///
-/// The format is recognised by its content. Every record is counted; what has no place in a recording is listed; ground truth and
-/// trajectories stay beside it. Stamps are the device's own: such a recording says nothing about its clock. Videos need the system's
-/// `ffmpeg`. What its IMU measured is judged as by `lsfb doctor`, and written as it is. Exit code 3: records could not be read.
+/// Reads EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger, StrayScanner, MARSLogger,
+/// VideoIMUCapture, Spectacular Rec, kapture, LaMAR sessions, and VRS files of Project Aria. The format
+/// is detected from the content. Every record is counted, and anything that a recording cannot hold is
+/// listed; ground truth and trajectories stay beside it. Stamps are the device's own, so that such a
+/// recording says nothing about its clock. Videos need `ffmpeg` on this system. The IMU data is checked
+/// as by `lsfb doctor`, and written unchanged. Exit code 3: records could not be read.
 ///
 /// Examples:
 ///   lsfb import mav0 --out walk.mcap
@@ -29,22 +31,23 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording of the other program.
+    /// Recording of the other program.
     #[arg(value_name = "FILE_OR_FOLDER")]
     source: PathBuf,
-    /// The new recording.
+    /// Recording to write.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Format of the source; by default it is recognised.
+    /// Format of the source; detected by default.
     #[arg(long, value_name = "FORMAT", value_enum)]
     format: Option<NamedFormat>,
     /// Name of the device in the topics, `/sidecar/NAME/…`: letters, digits, `-` and `_`.
     #[arg(long, value_name = "NAME", default_value = "phone", value_parser = device_name)]
     device: String,
-    /// Unit of the stamps where the format leaves it open (kapture, LaMAR); by default it is told by their size.
+    /// Unit of the stamps, if the format leaves it open (kapture, LaMAR); by default inferred from their
+    /// magnitude.
     #[arg(long, value_name = "UNIT", value_enum)]
     stamp_unit: Option<NamedUnit>,
-    /// The device's rig to attach, instead of the calibration that comes with the source.
+    /// Rig of the device to attach, instead of the calibration in the source.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
 }

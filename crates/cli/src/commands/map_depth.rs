@@ -14,15 +14,17 @@ use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
-/// Depth and normals of images, from what the scanner's LiDAR saw.
+/// Render depth and normal images from the scanner's LiDAR.
 ///
-/// For each pose and camera OUT/depth/CAMERA/NANOSECONDS.png has 16 bits a pixel, the distance along the optical axis in millimetres,
-/// and OUT/normals/CAMERA/NANOSECONDS.png the normal in the camera's frame, (n + 1) · 127.5 in red, green and blue. Zero: not
-/// certain. That is what no scan saw, what lies on no plane (plants, people), what is hidden by such things, and a few centimetres beside
-/// each outline. Images are taken at one instant: a rolling shutter is not followed.
+/// For each pose and camera: OUT/depth/CAMERA/NANOSECONDS.png (16 bits, distance along the optical axis
+/// in millimetres) and OUT/normals/CAMERA/NANOSECONDS.png (normal in the camera frame, (n + 1) · 127.5
+/// in red, green, blue). Zero means uncertain: not scanned, not on a plane (plants, people), hidden by
+/// such objects, or within a few centimetres of an outline. All pixels have the time of the pose:
+/// rolling shutter is not modelled.
 ///
-/// Scans must agree at the poses of the trajectory: where beams end behind what other scans saw, or walls are smeared, it is of another walk or
-/// clock, and no image is written (exit code 4).
+/// If the scans disagree at the poses of the trajectory (beams end behind surfaces that other scans
+/// saw, walls are smeared), the trajectory belongs to another walk or clock: no image is written, and
+/// the exit code is 4.
 ///
 /// Examples:
 ///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
@@ -30,28 +32,28 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct DepthArguments {
-    /// The scanner's recording.
+    /// Recording of the scanner.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The scanner's trajectory in the map, as `lsfb map --out-trajectory` wrote it.
+    /// Trajectory of the scanner in the map, from `lsfb map --out-trajectory`.
     #[arg(long, value_name = "TUM")]
     trajectory: PathBuf,
-    /// Poses in the map of the rig that carries the cameras, one for each image; by default the scanner's.
+    /// Poses, in the map, of the rig that carries the cameras, one per image; by default the scanner's.
     #[arg(long, value_name = "TUM")]
     poses: Option<PathBuf>,
-    /// The rig that carries the cameras; by default the scanner's.
+    /// Rig that carries the cameras; by default the scanner's.
     #[arg(long, value_name = "TOML", requires = "poses")]
     rig: Option<PathBuf>,
-    /// Cameras to use; by default all of the rig's.
+    /// Cameras to use; by default all cameras of the rig.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Every how many poses.
+    /// Use every N-th pose.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
     /// Folder to write to.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map depth --help` names them.
+    /// Settings instead of the defaults; `lsfb map depth --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }

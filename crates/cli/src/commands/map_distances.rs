@@ -29,14 +29,15 @@ const SAME_DEG: f64 = 0.1;
 /// Lines that a reader still reads; `--json` has all.
 const MOST_LINES: usize = 60;
 
-/// Distances between marks that somebody clicked in images of a map, and how far they are from what a tape says.
+/// Compare distances between marked points with tape measurements.
 ///
-/// The clicks are lines of mark,camera,time_ns,u_px,v_px: a name, the camera, the stamp of the image in nanoseconds (`lsfb map export` names images so)
-/// and the pixel. Three or more images a mark; they may be any within --trajectory, without it those of keyframes. What was measured is a survey, as
-/// `lsfb survey` reads it: distance A B METRES, with its σ behind it where it is known. `lsfb sim` writes both of its scan: marks.csv and
-/// truth/truth_marks.survey.
+/// Clicks are lines of mark,camera,time_ns,u_px,v_px: name of the mark, camera, stamp of the image in
+/// nanoseconds (its file name in `lsfb map export`), and pixel. Click each mark in three or more
+/// images: any images with --trajectory, keyframes only without it. The measurements are a survey as
+/// for `lsfb survey`: distance A B METRES, followed by σ if known. `lsfb sim` writes both for its scan:
+/// marks.csv and truth/truth_marks.survey.
 ///
-/// Exit code 4 where the map is off by more than 3 cm on average or 5 cm at most.
+/// Exit code 4: the mean error is above 3 cm, or the largest above 5 cm.
 ///
 /// Examples:
 ///   lsfb map distances map --marks marks.csv --trajectory scan.tum
@@ -47,16 +48,17 @@ pub struct DistancesArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Clicks on marks.
+    /// Clicks on the marks.
     #[arg(long, value_name = "CSV")]
     marks: PathBuf,
-    /// Measured distances between them.
+    /// Tape measurements between the marks.
     #[arg(long, value_name = "SURVEY")]
     survey: Option<PathBuf>,
-    /// The trajectory that `lsfb map --out-trajectory` wrote with the map: poses of images between keyframes. Another is refused.
+    /// Trajectory from `lsfb map --out-trajectory` of this map, for poses of images between keyframes; any
+    /// other is refused.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// How well was clicked, pixels in each direction, 1 σ; where the clicks scatter more, that is taken.
+    /// Standard deviation of a click, in pixels; the observed scatter is used if larger.
     #[arg(long, value_name = "PX", default_value_t = MarkConfig::default().click_sigma_px)]
     click_sigma_px: f64,
     /// Also write a page.

@@ -16,11 +16,13 @@ use crate::outcome::Outcome;
 /// Clouds a second where nothing says when they were taken: such a folder is refused.
 const NO_RATE_HZ: f64 = 1.0;
 
-/// Refine the poses of point clouds by the planes and edges that they show: the LiDAR terms of Eq. 4, for scans without images.
+/// Refine the poses of point clouds by their planes and edges.
 ///
-/// The clouds must be free of motion (deskewed). A folder has either a graph.txt with their poses, beside planes_K.bin and edges_K.bin or
-/// folders with points.bin, as gtsam_points keeps them; or files of any kind that `lsfb odometry` reads, whose names or times.txt say when they were taken:
-/// then a trajectory has their poses, and planes alone are compared. The first pose is held.
+/// Uses the LiDAR terms of Eq. 4, for scans without images. The clouds must be deskewed. The folder
+/// holds either graph.txt with their poses, and planes_K.bin and edges_K.bin or folders with
+/// points.bin, as gtsam_points writes them; or files that `lsfb odometry` reads, timed by their names
+/// or times.txt. In the second case a trajectory gives the poses, and only planes are compared. The
+/// first pose is held fixed.
 ///
 /// Examples:
 ///   lsfb map scans newer_01 --out refined.tum
@@ -28,17 +30,17 @@ const NO_RATE_HZ: f64 = 1.0;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct ScansArguments {
-    /// The clouds.
+    /// Folder of point clouds.
     #[arg(value_name = "FOLDER")]
     clouds: PathBuf,
-    /// Where the LiDAR was when they were taken, where the folder does not say; instead of what it says, if it does: then a pose for each
-    /// cloud, in their order.
+    /// Poses of the LiDAR, required if the folder has none. If it has, these replace them: one pose per
+    /// cloud, in the same order.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// The refined poses to write; of a folder with graph.txt the k-th, from 0, is at k seconds.
+    /// Refined poses to write; with graph.txt, cloud k (from 0) is at k seconds.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map scans --help` names them.
+    /// Settings instead of the defaults; `lsfb map scans --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }

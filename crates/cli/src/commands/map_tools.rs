@@ -38,7 +38,7 @@ pub enum Tool {
     View(ViewArguments),
 }
 
-/// Show what a map holds: points and how well they are known, keyframes, cameras, extent.
+/// Show what a map contains: points and their accuracy, keyframes, cameras, extent.
 ///
 /// Examples:
 ///   lsfb map info map
@@ -51,10 +51,11 @@ pub struct InfoArguments {
     map: PathBuf,
 }
 
-/// Export a map to the files of another program: COLMAP, kapture, nerfstudio, a point cloud, or the poses of its keyframes.
+/// Export a map to COLMAP, kapture, nerfstudio, a point cloud, or keyframe poses.
 ///
-/// Images are named CAMERA/NANOSECONDS.png, as they would lie beside the model. The poses are keyframes.tum and keyframes_covariance.txt, which
-/// has the covariance relative to the first keyframe, as `lsfb eval --align origin` reads it.
+/// Images are named CAMERA/NANOSECONDS.png; put them beside the model. Poses are keyframes.tum, and
+/// keyframes_covariance.txt with the covariance relative to the first keyframe, for `lsfb eval --align
+/// origin`.
 ///
 /// Examples:
 ///   lsfb map export colmap map --out model
@@ -63,7 +64,7 @@ pub struct InfoArguments {
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct ExportArguments {
-    /// The format.
+    /// Format to export.
     #[arg(value_enum)]
     format: Program,
     /// The map.
@@ -74,7 +75,7 @@ pub struct ExportArguments {
     out: PathBuf,
 }
 
-/// Crop a map: the points in a box along the world's axes, and the keyframes that see them.
+/// Crop a map to an axis-aligned box: the points in it, and the keyframes that see them.
 ///
 /// Examples:
 ///   lsfb map crop map --min-m=-5,-5,-1 --max-m 5,5,3 --out room
@@ -84,36 +85,37 @@ pub struct CropArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Smallest coordinates.
+    /// Smallest coordinates of the box.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
     min_m: Vector3<f64>,
-    /// Largest coordinates.
+    /// Largest coordinates of the box.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
     max_m: Vector3<f64>,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
 }
 
-/// Merge two maps of one place that overlap: the second is moved into the frame of the first.
+/// Merge two overlapping maps of one place: the second is moved into the frame of the first.
 ///
-/// Refused where they share too little, where another alignment is nearly as good, or where it would not be known well enough.
+/// Refused if they share too little, if another alignment is nearly as good, or if the alignment is too
+/// uncertain.
 ///
 /// Examples:
 ///   lsfb map merge ground-floor stairs --out building
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = merge_settings())]
 pub struct MergeArguments {
-    /// The map whose frame stays.
+    /// Map whose frame is kept.
     #[arg(value_name = "MAP")]
     first: PathBuf,
-    /// The map that is moved.
+    /// Map to be moved.
     #[arg(value_name = "MAP")]
     second: PathBuf,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map merge --help` names them.
+    /// Settings instead of the defaults; `lsfb map merge --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }

@@ -26,16 +26,19 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Play a recording, a capture file or the simulator as live devices.
 ///
-/// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB device, camera frames to
-/// sockets, and a phone's messages to the sidecar port, each exactly as received and at its device's own time: `lsfb scan` in
-/// another process cannot tell the difference. The list of devices to record from is written into the folder. Nothing is sent
-/// until every device is connected.
+/// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB
+/// device, camera frames to sockets, and a phone's messages to the sidecar port, each exactly as
+/// received and at its device's own time: `lsfb scan` in another process cannot tell the difference.
+/// The list of devices to record from is written into the folder. Nothing is sent until every device is
+/// connected.
 ///
-/// With --loop, the devices' clocks start again with each repetition, and the recorder reports it. A capture file (pcap, pcapng,
-/// db3) holds a LiDAR only, which never signals its end: stop the recorder with Ctrl-C. A CAN bus does not signal its end
-/// either; beside devices that do, the recorder takes its silence for the end.
+/// With --loop, the devices' clocks restart with each repetition, and the recorder reports it. A
+/// capture file (pcap, pcapng, db3) holds only a LiDAR, which never signals its end: stop the recorder
+/// with Ctrl-C. A CAN bus does not signal its end either; next to devices that do, the recorder takes
+/// its silence for the end.
 ///
-/// An SBG unit needs a CAN interface, e.g. a virtual one: ip link add vcan0 type vcan && ip link set vcan0 up
+/// An SBG unit needs a CAN interface, e.g. a virtual one: ip link add vcan0 type vcan && ip link set
+/// vcan0 up
 ///
 /// Examples:
 ///   lsfb mock scan.mcap --out mock              # then, in another terminal:

@@ -30,12 +30,13 @@ const SIDECAR_FOLDER: &str = "sidecar";
 ///
 /// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but data was lost.
 ///
-/// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and battery, start and
-/// stop, notes and control points (which are recorded). Recordings are then started and stopped there; each gets its own file
-/// (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no internet. By
-/// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it is served by TLS,
-/// below /operator/, and asks for a PIN, which is printed at the start with a QR code of the link. With a `[sidecar]` in the list of
-/// devices it lies at the address of the phones as well. The browser warns of the rig's certificate, which nobody has signed.
+/// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and
+/// battery, start and stop, notes and control points (which are recorded). Recordings are started and
+/// stopped there; each gets its own file (scan.mcap, scan-2.mcap, …), no file is overwritten, and
+/// Ctrl-C ends the program. The page needs no internet and by default opens on this machine only. At an
+/// address that other machines can reach (0.0.0.0:8700), or the phones' address (`[sidecar]`), it uses
+/// TLS at /operator/ and asks for a PIN, printed at the start with a QR code of the link. Your browser
+/// will warn about the rig's self-signed certificate; continue anyway.
 ///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
@@ -49,7 +50,7 @@ const SIDECAR_FOLDER: &str = "sidecar";
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// List of devices (see docs/devices.md); `lsfb sim` and `lsfb mock` write one for theirs.
+    /// List of devices (see docs/devices.md); `lsfb sim` and `lsfb mock` write one for their devices.
     #[arg(long, value_name = "TOML", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
     /// LiDAR packets of a pcap or pcapng capture.
@@ -67,7 +68,7 @@ pub struct Arguments {
     /// Rig to attach to the recording of a capture file.
     #[arg(long, value_name = "TOML", conflicts_with = "devices")]
     rig: Option<PathBuf>,
-    /// The recording to write.
+    /// Recording to write.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
     /// Start a new file after this many megabytes; each file can be read on its own.
@@ -76,18 +77,18 @@ pub struct Arguments {
     /// Start a new file after this many seconds.
     #[arg(long, value_name = "SECS")]
     split_secs: Option<f64>,
-    /// Folder on another disk, to continue in when the first is nearly full.
+    /// Folder on another disk, used when the first disk is nearly full.
     #[arg(long, value_name = "FOLDER")]
     out_second_disk: Option<PathBuf>,
-    /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise, or phones have an address
-    /// (`[sidecar]`).
+    /// Serve the operator's screen; on this machine only, unless ADDR or the phones' address (`[sidecar]`)
+    /// makes it reachable from others.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
-    /// PIN of the screen, at least four characters; by default a random one, which is asked of other machines alone.
+    /// PIN of the screen, at least four characters; random by default; only other machines need it.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
-    /// Another name of this machine (e.g. a DNS name), besides its host name and addresses; the screen answers to no others. May
-    /// be repeated.
+    /// Another name of this machine (for example a DNS name) at which the screen may be opened, besides its
+    /// host name and addresses; may be repeated.
     #[arg(long, value_name = "NAME", requires = "screen")]
     screen_name: Vec<String>,
     /// Start the first recording at once, without waiting for START on the screen.
@@ -96,11 +97,11 @@ pub struct Arguments {
     /// Stream live data to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
-    /// Run the odometry while recording, and record the rig's poses (/tf), even if no live map is shown; with --screen, --foxglove and
-    /// --rerun it always runs. Needs a rig with the LiDAR.
+    /// Run odometry while recording, and record the rig's poses (/tf), even without a live map; always on
+    /// with --screen, --foxglove or --rerun. Needs a rig with the LiDAR.
     #[arg(long, requires = "devices")]
     odometry: bool,
-    /// Folder with the state of batteries, for hosts where it is not /sys/class/power_supply.
+    /// Folder with the battery state, if it is not /sys/class/power_supply.
     #[arg(long, value_name = "FOLDER")]
     power_supplies: Option<PathBuf>,
     /// Stream live data to the Rerun viewer at URL.
@@ -115,15 +116,15 @@ struct LidarArguments {
     /// Expected LiDAR of a capture file: vlp-32c, vlp-16, hdl-32e, xt32, pandar64 or qt64.
     #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
     lidar_model: Option<Model>,
-    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns: strongest,
+    /// Ignore the model and return mode stated in the packets; use --lidar-model and this mode: strongest,
     /// last or dual.
     #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = returns)]
     force_returns: Option<Returns>,
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
-    /// Read packets of this sender only, under this name. May be repeated; without it every LiDAR of a pcap capture is
-    /// recorded: lidar, lidar2, … in the order in which they were first heard.
+    /// Record only the packets of this sender, under this name; may be repeated. By default every LiDAR of
+    /// a pcap capture is recorded, as lidar, lidar2, … in order of appearance.
     #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
     lidar_sender: Vec<Sender>,
     /// UDP ports of the LiDAR in a pcap capture, separated by commas.

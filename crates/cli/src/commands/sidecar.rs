@@ -19,10 +19,10 @@ use crate::qr_code;
 /// An address to ask the way to: nothing is sent there (RFC 5737).
 const ELSEWHERE: (&str, u16) = ("192.0.2.1", 9);
 
-/// Pair phones and glasses with this rig, write the walk of each, or play a recorded phone to a rig.
+/// Pair phones and glasses with this rig, extract their walks, or play a recorded phone to a rig.
 ///
-/// A phone is paired once, by a code that is valid for one phone and a few minutes; afterwards it connects by itself. What an app
-/// must speak is in docs/sidecar.md.
+/// A phone is paired once, with a code that is valid for one phone and a few minutes; afterwards it
+/// connects by itself. docs/sidecar.md describes the protocol for apps.
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
@@ -48,11 +48,11 @@ enum Action {
 
 /// Show a code that pairs one phone.
 ///
-/// With --browser it is a link to the rig's own page, which records by the phone's browser. That warns of the rig's certificate, which
-/// nobody has signed: go on to the page.
+/// With --browser: a link to the rig's own page, which records through the phone's browser. The browser
+/// will warn about the rig's self-signed certificate; continue anyway.
 ///
-/// With --push it is the address at which the app Sensor Logger pushes, until the name is unpaired; `[sidecar] push_listen` must be set. What
-/// it pushes is not encrypted.
+/// With --push: the address for HTTP push of the app Sensor Logger, valid until the name is unpaired.
+/// Requires `[sidecar] push_listen`; pushed data is not encrypted.
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml
@@ -66,16 +66,17 @@ struct Pair {
     /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
-    /// Address of this machine in the phone's network; by default the one on the way out.
+    /// Address of this machine in the phone's network; by default that of the default route.
     #[arg(long, value_name = "IP")]
     address: Option<IpAddr>,
     /// Show a link for a browser, instead of a code for an app.
     #[arg(long)]
     browser: bool,
-    /// Show the address for Sensor Logger's HTTP push; the phone is called NAME from then on.
+    /// Show the address for Sensor Logger's HTTP push, and name the phone NAME.
     #[arg(long, value_name = "NAME", conflicts_with = "browser")]
     push: Option<String>,
-    /// How Sensor Logger is set: standard is Android, or "Standardise Units & Frames" on; ios is an iPhone with that off.
+    /// Units set in Sensor Logger: standard is Android, or "Standardise Units & Frames" on; ios is an
+    /// iPhone with that off.
     #[arg(long, requires = "push", default_value = "standard")]
     units: Units,
     /// How long the code is valid.
@@ -90,7 +91,7 @@ enum Units {
     Ios,
 }
 
-/// Name the phones that are paired.
+/// List the paired phones.
 ///
 /// Examples:
 ///   lsfb sidecar list --devices devices.toml
@@ -102,34 +103,34 @@ struct List {
     devices: PathBuf,
 }
 
-/// Forget a phone: it must be paired again before it can send.
+/// Unpair a phone: it must be paired again before it can send.
 ///
 /// Examples:
 ///   lsfb sidecar unpair pixel8 --devices devices.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Unpair {
-    /// Its name.
+    /// Name of the phone.
     name: String,
     /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
 }
 
-/// Play the phones of a recording to a rig, through the protocol that an app speaks.
+/// Play the phones of a recording to a rig, over the protocol that apps use.
 ///
 /// Examples:
 ///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7'
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Play {
-    /// Recording with a phone or glasses in it.
+    /// Recording that contains a phone or glasses.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
     /// The rig's pairing code.
     #[arg(long, value_name = "CODE", value_parser = pairing_code)]
     code: PairingCode,
-    /// Which of the recording's phones to play; needed where there are several.
+    /// Phone of the recording to play; needed if there are several.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
     /// Name of the session.
@@ -141,7 +142,7 @@ struct Play {
     /// Inject random faults with this seed: cut connections, damaged and repeated messages, pauses.
     #[arg(long, value_name = "N", value_parser = super::seed)]
     fault_seed: Option<u64>,
-    /// How long to try to reconnect to a rig that was lost.
+    /// How long to try to reconnect after losing the rig.
     #[arg(long, value_name = "SECS", default_value_t = 120)]
     reconnect_secs: u32,
 }

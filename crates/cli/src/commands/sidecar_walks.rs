@@ -12,11 +12,12 @@ use crate::context::Context;
 use crate::judged::printable;
 use crate::outcome::Outcome;
 
-/// Write each phone of a recording into a walk of its own, with its clock estimated from all exchanges of times.
+/// Extract the walk of each phone, with its clock estimated from all clock exchanges.
 ///
-/// Every message keeps three stamps: the phone's own, its arrival, and the time made of it, on the rig's clock. The recording is not
-/// changed. Of a recording in parts, run it on each. Exit code 3: messages could not be read, or keep the time of the recording
-/// because the exchanges do not tell theirs.
+/// Every message keeps three stamps: the phone's own, its arrival, and the time on the rig's clock
+/// computed from it. The recording is not changed. For a recording in parts, run it on each part. Exit
+/// code 3: messages could not be read, or keep the recording's time because there were too few clock
+/// exchanges.
 ///
 /// Examples:
 ///   lsfb sidecar walks scan.mcap --out walks
@@ -25,16 +26,17 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recording with phones in it.
+    /// Recording that contains phones.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// Folder for the walks, `NAME.walk.mcap` each.
+    /// Folder for the walks, NAME.walk.mcap each.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Only this phone.
+    /// Extract only this phone.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
-    /// Its rig, instead of the one that it brought: calibrated since, or with the clocks that `lsfb calib verify --out-rig` measured.
+    /// Rig of the phone instead of the one that it sent: a newer calibration, or one with the clocks from
+    /// `lsfb calib verify --out-rig`.
     #[arg(long, value_name = "TOML", requires = "device")]
     rig: Option<PathBuf>,
 }

@@ -33,10 +33,10 @@ pub struct Arguments {
     /// A trajectory; may be repeated.
     #[arg(long, value_name = "TUM")]
     trajectory: Vec<PathBuf>,
-    /// An HD map, a folder.
+    /// HD map (folder).
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// The viewer's file to write.
+    /// Rerun file to write.
     #[arg(long, value_name = "RRD")]
     out: PathBuf,
 }

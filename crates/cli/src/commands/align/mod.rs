@@ -17,19 +17,21 @@ use crate::files::name_of;
 use crate::judged::{Judged, lines};
 use crate::outcome::Outcome;
 
-/// Align two trajectories of one rigid body: GNSS/INS or motion capture beside glasses.
+/// Align two trajectories of one rigid body, for example GNSS/INS or motion capture with glasses.
 ///
-/// Each may have its own world, its own body and its own clock. Found are where one body sits on the other, how the worlds lie, and the
-/// offset of the clocks, with standard deviations; a motion that does not show them is refused (turn about two axes). With --out the
-/// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`, without the poses at which it jumps
-/// (swapped markers). Nothing is written (exit code 4) where fewer than half of the poses fit, or where two halves of the walk clearly differ:
-/// the mounting slipped, or a clock jumped.
+/// Each may have its own world, body and clock. Estimates the pose of one body on the other, the
+/// transform between the worlds, and the clock offset, with standard deviations; a motion that does not
+/// determine them is refused (turn about two axes). --out writes the reference as ground truth of the
+/// estimate's body, on the estimate's clock, for `lsfb eval`, without poses where it jumps (swapped
+/// markers). Exit code 4, nothing written: fewer than half of the poses fit, or two halves of the walk
+/// clearly differ (the mounting slipped, or a clock jumped).
 ///
-/// Motion capture is better aligned to an IMU on the device (--imu, a recording or a csv): the path of the IMU that is written is smoother
-/// than the markers' jitter, and goes on for a while where they are dropped or swapped.
+/// Motion capture is better aligned with an IMU on the device (--imu): the path of the IMU is smoother
+/// than the markers' jitter, and bridges short stretches of lost or swapped markers.
 ///
-/// Two recordings with an IMU each (--reference-imu) are brought to one clock by their gyroscopes, where there was no network to do it: hold
-/// both devices together and turn them for half a minute about two axes.
+/// Without a network to synchronize them, two recordings with an IMU each (--reference-imu) are brought
+/// to one clock by their gyroscopes: hold both devices together and turn them about two axes for half a
+/// minute.
 ///
 /// Examples:
 ///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
@@ -39,24 +41,24 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trajectory to align, of any program.
+    /// Trajectory to align, of any program.
     #[arg(
         value_name = "TRAJECTORY",
         required_unless_present = "imu",
         conflicts_with = "imu"
     )]
     estimate: Option<PathBuf>,
-    /// Inertial samples on the device instead of a trajectory: a recording, or a csv as EuRoC has it.
+    /// IMU data of the device instead of a trajectory: a recording, or a csv in EuRoC's format.
     #[arg(long, value_name = "MCAP|CSV")]
     imu: Option<PathBuf>,
-    /// The reference trajectory, of any program.
+    /// Reference trajectory, of any program.
     #[arg(
         long,
         value_name = "TRAJECTORY",
         required_unless_present = "reference_imu"
     )]
     reference: Option<PathBuf>,
-    /// Inertial samples of another device on the same body instead: a recording, or a csv as EuRoC has it.
+    /// IMU data of another device on the same body instead: a recording, or a csv in EuRoC's format.
     #[arg(
         long,
         value_name = "MCAP|CSV",
@@ -72,10 +74,10 @@ pub struct Arguments {
         allow_negative_numbers = true
     )]
     offset_secs: f64,
-    /// Range around --offset-secs in which the offset is searched.
+    /// Search range of the offset around --offset-secs.
     #[arg(long, default_value_t = 10.0, value_name = "SECS")]
     search_secs: f64,
-    /// Estimate a constant drift of the offset as well.
+    /// Also estimate a constant drift of the offset.
     #[arg(long)]
     drift: bool,
     /// Also write the reference as ground truth of the estimate's body.

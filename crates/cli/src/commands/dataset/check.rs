@@ -11,10 +11,11 @@ use crate::context::Context;
 use crate::judged::{Judged, lines, printable};
 use crate::outcome::Outcome;
 
-/// Check a dataset against its hashes: what is missing, changed or added since it was packed.
+/// Check a dataset against its hashes: files missing, changed or added since it was packed.
 ///
-/// A truth that is held back is said to be; one that is there must be the one that dataset.toml names. Compare the printed hash of
-/// SHA256SUMS with the published one: whoever changes files can change the list as well. The exit code is 4 if anything differs.
+/// Truth that is held back is reported; truth that is present must be the one that dataset.toml names.
+/// Compare the printed hash of SHA256SUMS with the published one: anyone who changes files can change
+/// the list as well. Exit code 4: something differs.
 ///
 /// Examples:
 ///   lsfb dataset check dataset

@@ -17,15 +17,16 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Export a sequence of a dataset to the files of other programs, with its truth where that is there.
+/// Export a sequence of a dataset for other programs, with its truth if present.
 ///
-/// EuRoC and TUM-VI folders get images, inertial samples, sensor.yaml and truth; kitti and images have stamps in a file; all get the rig and
-/// truth.tum. kapture, COLMAP and a session of LaMAR's capture format place every image by the truth, and are refused without it, as is a
-/// walk of Indoor Location 2.0, whose waypoints are of the truth. Recordings themselves are ROS 2 bags.
+/// EuRoC and TUM-VI folders get images, IMU data, sensor.yaml and truth; kitti and images have stamps
+/// in a file; all get the rig and truth.tum. kapture, COLMAP and LaMAR sessions place every image by
+/// the truth, and Indoor Location 2.0 takes its waypoints from it; these are refused without it. The
+/// recordings themselves are ROS 2 bags.
 ///
-/// --hidden-regions fills what must not be seen with its mean grey: on each line of the text file CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
-/// with - - for all times. Whoever finds faces writes that file: lsfb does not find them, and hides them in exported images only,
-/// never in the recordings.
+/// --hidden-regions fills regions with their mean grey: lines of CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
+/// with - - for all times. lsfb does not detect faces: run a detector that writes this file. Only
+/// exported images are changed, never the recordings.
 ///
 /// Examples:
 ///   lsfb dataset export dataset C3-android --layout euroc --out c3
@@ -36,16 +37,16 @@ pub struct Arguments {
     /// The dataset.
     #[arg(value_name = "FOLDER")]
     dataset: PathBuf,
-    /// The sequence.
+    /// Name of the sequence.
     #[arg(value_name = "NAME")]
     sequence: String,
-    /// The files.
+    /// Format to export.
     #[arg(long, value_enum)]
     layout: Program,
-    /// Folder to write them to.
+    /// Folder for the files.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Regions of images that must not be seen.
+    /// Regions of images to hide.
     #[arg(long, value_name = "FILE")]
     hidden_regions: Option<PathBuf>,
 }

@@ -12,12 +12,14 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Simulate the sequences of the plan, and pack them as a dataset with rigs, hashes, a licence and the truth in a folder of its own.
+/// Simulate the sequences of the plan, and pack them as a dataset.
 ///
-/// Walks go beside the scanner's path. At less than 100 percent they take that share of their time and way, but no less than
-/// --least-secs; the scanner takes as long as the longest walk of its environment, and no less than four times --least-secs. Goes on where it was stopped: what is packed is not made
-/// again. What it needs for that lies in FOLDER.making: the seed, by which the truth can be made again, and the key of the
-/// hashed identifiers. Keep that folder to yourself.
+/// The dataset has rigs, hashes, a licence, and the truth in a separate folder. Walks go beside the
+/// scanner's path. Below 100 percent they take that share of their time and length, but at least
+/// --least-secs; the scan takes as long as the longest walk of its environment, and at least four times
+/// --least-secs. An interrupted run resumes; packed sequences are not made again. The folder
+/// FOLDER.making holds what this needs: the seed, which reproduces the truth, and the key of the hashed
+/// identifiers. Keep it private.
 ///
 /// Examples:
 ///   lsfb dataset make --out dataset
@@ -29,16 +31,16 @@ pub struct Arguments {
     /// Folder of the dataset.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Share of each sequence's time and way.
+    /// Share of each sequence's time and length to simulate.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0, value_parser = percent)]
     scale_percent: f64,
     /// Shortest walk, unless the whole sequence is shorter.
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = secs)]
     least_secs: f64,
-    /// Images of three quarters of the size, scans with five images a second: a tenth of the work.
+    /// Images of three quarters of the size, scans with five images per second: a tenth of the work.
     #[arg(long)]
     small_images: bool,
-    /// Sequences of `lsfb dataset plan`, separated by commas; without it all 75.
+    /// Sequences of `lsfb dataset plan`, separated by commas; by default all 75.
     #[arg(
         long = "sequence",
         visible_alias = "sequences",
@@ -46,10 +48,11 @@ pub struct Arguments {
         value_delimiter = ','
     )]
     sequences: Vec<String>,
-    /// Seed of the buildings, the walks and the noise. Choose one that nobody guesses where the truth is held back.
+    /// Seed of the buildings, the walks and the noise. Choose one that nobody can guess if the truth is
+    /// held back.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Licence of the dataset, a text file; without it a note on CC BY 4.0.
+    /// Licence of the dataset, a text file; by default a note on CC BY 4.0.
     #[arg(long, value_name = "FILE")]
     license: Option<PathBuf>,
 }

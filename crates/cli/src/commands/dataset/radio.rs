@@ -13,12 +13,14 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Give every reading of Wi-Fi, Bluetooth and the magnetic field its place: where the phone was when it was heard, with its standard deviation.
+/// Locate every Wi-Fi, Bluetooth and magnetic reading of a walk, with its standard deviation.
 ///
-/// Places come from a trajectory, or, without one, from the waypoints of an imported walk of Indoor Location 2.0. A scan takes seconds; each
-/// of its readings is placed at its own time. sigma_m is that of each coordinate: of the known places, of the time between hearing and
-/// stamp at the speed then, and of what the body may have done in between. Readings outside of the trajectory or in its gaps get no place,
-/// and are counted. Magnetic fields are in the sensor's axes.
+/// Positions come from a trajectory, or without one from the waypoints of an imported walk of Indoor
+/// Location 2.0. A scan takes seconds; each reading is placed at its own time. sigma_m is per
+/// coordinate, and includes the uncertainty of the known positions, of the time between reception and
+/// stamp at the current speed, and of the motion between known positions. Readings outside the
+/// trajectory or in its gaps get no position, and are counted. Magnetic fields are in the sensor's
+/// axes.
 ///
 /// Examples:
 ///   lsfb dataset radio walk.mcap --trajectory walk.tum --out radio.csv
@@ -29,13 +31,13 @@ pub struct Arguments {
     /// The recording.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// Where the phone was, on the recording's clock; without it the recording's waypoints.
+    /// Trajectory of the phone, on the recording's clock; by default the recording's waypoints are used.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// Standard deviation of each coordinate of a known place that brings none.
+    /// Standard deviation per coordinate of known positions that have none of their own.
     #[arg(long, value_name = "M", default_value_t = PlacingConfig::default().place_sigma_m)]
     place_sigma_m: f64,
-    /// The table.
+    /// Table to write.
     #[arg(long, value_name = "CSV")]
     out: PathBuf,
 }

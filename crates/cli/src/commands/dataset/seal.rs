@@ -9,10 +9,11 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Hash every file of a dataset that was put together by hand, after its dataset.toml was written.
+/// Hash every file of a dataset that was assembled by hand, once its dataset.toml is written.
 ///
-/// Writes truth/SHA256SUMS, the hash of that list into dataset.toml, and SHA256SUMS of all the rest; `sha256sum --check` reads both.
-/// Publish the printed hash: who has it can tell that nothing was changed since.
+/// Writes truth/SHA256SUMS, its hash into dataset.toml, and SHA256SUMS of everything else; `sha256sum
+/// --check` reads both. Publish the printed hash, so that anyone can verify that nothing was changed
+/// since.
 ///
 /// Examples:
 ///   lsfb dataset seal dataset

@@ -11,7 +11,7 @@ use lsfb_pipeline::features::{
 /// Where weights are kept.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
-    /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.
+    /// Folder of model weights; by default $LSFB_MODELS, otherwise lsfb/models in $XDG_DATA_HOME.
     #[arg(long, value_name = "FOLDER")]
     models: Option<PathBuf>,
 }

