@@ -46,7 +46,7 @@ impl Order {
         let times = match self.jumps {
             0 if self.standing as f64 > MOST_STANDING * self.stamps as f64 => {
                 return Some(format!(
-                    "repeat the one before {} times of {}: several were given one time",
+                    "repeat the previous one {} times of {}: several got the same time",
                     self.standing, self.stamps
                 ));
             }

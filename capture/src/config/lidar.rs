@@ -180,13 +180,13 @@ impl LidarNetConfig {
             name => Some(Model::from_key(name).ok_or_else(|| {
                 let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
                 refused(format!(
-                    "model = {name:?} is none of {ANY}, {}",
+                    "model = {name:?} is unknown: expected {ANY}, {}",
                     known.join(", ")
                 ))
             })?),
         };
         if self.force_returns.is_some() && model.is_none() {
-            let problem = "force_returns needs the model that the packets are of";
+            let problem = "force_returns needs the model of the LiDAR";
             return Err(refused(problem.to_owned()));
         }
         let angles = match &self.angles {

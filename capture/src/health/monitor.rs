@@ -163,13 +163,13 @@ impl Monitor {
         let (level, problem) = match secs_to_full {
             _ if !progress.displaced.is_empty() => (Level::Error, progress.displaced.join("; ")),
             Some(secs) if secs < ERROR_SECS => {
-                (Level::Error, format!("the disk is full in {secs:.0} s"))
+                (Level::Error, format!("disk full in {secs:.0} s"))
             }
             Some(secs) if secs < WARN_SECS => {
                 let minutes = secs / 60.0;
                 (
                     Level::Warn,
-                    format!("the disk is full in {minutes:.0} minutes"),
+                    format!("disk full in {minutes:.0} minutes"),
                 )
             }
             _ if progress.write_p99_ms > WARN_WRITE_MS => {

@@ -67,11 +67,11 @@ impl Silent {
         let count = rings.len();
         match count {
             1 => format!(
-                "laser {} of {of}, counted from below, sees nothing where its neighbours do",
+                "laser {} of {of}, counted from below, has no returns where its neighbours do",
                 rings[0] + 1
             ),
             _ => format!(
-                "{count} of its {of} lasers see nothing (counted from below: {})",
+                "{count} of its {of} lasers have no returns (counted from below: {})",
                 ranges(rings)
             ),
         }

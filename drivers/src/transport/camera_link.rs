@@ -146,7 +146,7 @@ fn built_without_nodes(path: &Path) -> Error {
         action: "open the camera node",
         cause: io::Error::new(
             io::ErrorKind::Unsupported,
-            "this program knows mock cameras only; build it with `--features hardware`",
+            "this build supports mock cameras only; build it with `--features hardware`",
         ),
     }
 }

@@ -43,7 +43,7 @@ pub(crate) fn fitting(
         ..SolveConfig::default()
     };
     solve_or_stop(
-        "loops told from false ones",
+        "rejecting false loops",
         &mut problem,
         &config,
         progress,

@@ -202,34 +202,34 @@ impl OdometryWarning {
         let (code, what) = match self {
             Self::Lost { lost, scans } => (
                 "lost",
-                format!("{lost} of {scans} scans found no place in the map and have no pose"),
+                format!("{lost} of {scans} scans could not be registered and have no pose"),
             ),
             Self::LostAtEnd { scans } => (
                 "lost-at-end",
-                format!("the last {scans} scans are lost: the trajectory ends before them"),
+                format!("the last {scans} scans could not be registered: the trajectory ends before them"),
             ),
             Self::LidarGap { from_s, to_s } => (
                 "lidar-gap",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion is the IMU's alone: no poses are written there, and what is behind may be off by what the IMU drifted"
+                    "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion comes from the IMU alone: no poses are written there, and later ones may be off by the IMU's drift"
                 ),
             ),
             Self::ImuPause { from_s, to_s } => (
                 "imu-pause",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s the IMU measured nothing, or the same again and again: scans are predicted and deskewed there by what it said last, and may be wrong there and behind; check its cable (`lsfb doctor`), or run without the IMU"
+                    "from {from_s:.1} to {to_s:.1} s the IMU sent no samples, or repeated the same one: scans are predicted and deskewed there with its last sample, and may be wrong from there on; check its cable (`lsfb doctor`), or run without the IMU"
                 ),
             ),
             Self::LoopMisfit { sigmas } => (
                 "loop-misfit",
                 format!(
-                    "a closed loop is {sigmas:.0} standard deviations off: it contradicts the odometry or the other loops, and the walk is bent by it; look for a false one"
+                    "a closed loop is {sigmas:.0} standard deviations off: it contradicts the odometry or the other loops and bends the trajectory; look for a false one"
                 ),
             ),
             Self::Piece { share } => (
                 "last-piece",
                 format!(
-                    "the recording ends within a scan: the {:.0} % of it that are there found no place in the map, and are left out",
+                    "the recording ends within a scan: the available {:.0} % of it could not be registered and are left out",
                     (share * 100.0).ceil()
                 ),
             ),
@@ -242,31 +242,31 @@ impl OdometryWarning {
             } => (
                 "accelerometer-untold",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s the accelerometer alone has the motion along ({x:.2}, {y:.2}, {z:.2}), and no scan of the walk tells whether it is right along it: if it is turned round, poses are {off_m:.1} m off (covariances have that); walk a stretch where scans see such motion as well, or make sure of the IMU's axes"
+                    "from {from_s:.1} to {to_s:.1} s the motion along ({x:.2}, {y:.2}, {z:.2}) comes from the accelerometer alone, and no scan of the walk checks that axis: if its sign is wrong, poses are {off_m:.1} m off (included in the covariances); walk a stretch where scans constrain such motion, or check the IMU's axes"
                 ),
             ),
             Self::EndUncertain { sigma_m } => (
                 "end-uncertain",
                 format!(
-                    "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not tell where the recording ends"
+                    "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not determine where the recording ends"
                 ),
             ),
             Self::StretchUncertain { at_s, sigma_m } => (
                 "stretch-uncertain",
                 format!(
-                    "at {at_s:.1} s the pose may be {sigma_m:.1} m off (one standard deviation), though the end is known: do not use what lies between"
+                    "at {at_s:.1} s the pose may be {sigma_m:.1} m off (one standard deviation), although the end is known: do not use the poses in between"
                 ),
             ),
             Self::Skipped { skipped, scans } => (
                 "skipped",
                 format!(
-                    "{skipped} of {scans} scans were empty, out of order, or before the first inertial sample"
+                    "{skipped} of {scans} scans were empty, out of order, or before the first IMU sample"
                 ),
             ),
             Self::Repeated { repeated, scans } => (
                 "repeated-scans",
                 format!(
-                    "{repeated} of {scans} scans are the one before once more, number by number, which no sensor measures: the LiDAR or its driver hung, or files were written twice; the trajectory stands still there whatever the carrier did"
+                    "{repeated} of {scans} scans are exact copies of the previous one, which no sensor produces: the LiDAR or its driver hung, or files were written twice; the trajectory stands still there whatever the motion was"
                 ),
             ),
             Self::NotDeskewed {
@@ -281,18 +281,18 @@ impl OdometryWarning {
             Self::DeskewedByAzimuth { scans, of } => (
                 "deskewed-by-azimuth",
                 format!(
-                    "{scans} of {of} scans were deskewed by azimuth: their points are taken to be as the sensor fired them"
+                    "{scans} of {of} scans were deskewed by azimuth, which assumes that their points are in firing order"
                 ),
             ),
             Self::AccelerometerInGravities => (
                 "accelerometer-unit",
-                "the accelerometer measures in units of gravity: taken times 9.80665 m/s²"
+                "the accelerometer is in units of gravity: multiplied by 9.80665 m/s²"
                     .to_owned(),
             ),
             Self::RareScans { interval_s } => (
                 "rare-scans",
                 format!(
-                    "scans are {interval_s:.1} s apart: where few of them saw a surface one may be registered to the wrong one, and the covariances do not have that in them"
+                    "scans are {interval_s:.1} s apart: where few of them saw a surface, one may be registered to the wrong surface, and the covariances do not include that"
                 ),
             ),
             Self::ImuNotUsed { reason } => {
@@ -301,14 +301,14 @@ impl OdometryWarning {
             Self::ExtrinsicRotation { off_deg, sigma_deg } => (
                 "extrinsic-rotation",
                 format!(
-                    "gyroscope and scans turn about different axes: the LiDAR's rotation on the IMU is off by {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation) or more, and poses are wrong by it; calibrate the rig, or run without the IMU"
+                    "gyroscope and scans rotate about different axes: the LiDAR's rotation relative to the IMU is off by at least {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation), and poses are wrong by it; calibrate the rig, or run without the IMU"
                 ),
             ),
             Self::ImuAxes { sensor, right } => ("imu-axes", axes_sentence(sensor, right)),
             Self::ImuClock { late_s, sigma_s } => (
                 "imu-clock",
                 format!(
-                    "gyroscope and scans turn alike if the IMU's stamps are {:.0} ± {:.0} ms (one standard deviation) too {}: the path between scans is wrong by it, and so may the poses of scans be; set the clocks, or run without the IMU",
+                    "gyroscope and scans agree if the IMU's stamps are {:.0} ± {:.0} ms (one standard deviation) too {}: the path between scans is wrong by it, and the poses of scans may be too; synchronise the clocks, or run without the IMU",
                     late_s.abs() * 1e3,
                     sigma_s * 1e3,
                     if *late_s > 0.0 { "late" } else { "early" }
@@ -321,33 +321,33 @@ impl OdometryWarning {
             } => (
                 "scans-apart",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s (the worst stretch) scans a second apart lie on each other {off_m:.2} m off where the trajectory has them (half of them by more): the IMU draws them away, and the trajectory may be metres off; is an axis or the sign of the accelerometer wrong, or its unit or clock? Run without the IMU to see"
+                    "from {from_s:.1} to {to_s:.1} s (the worst stretch) scans a second apart disagree with the trajectory by {off_m:.2} m (median): the IMU pulls them away, and the trajectory may be metres off; is an axis, the sign, the unit or the clock of the accelerometer wrong? Run without the IMU to compare"
                 ),
             ),
             Self::ScansUnchecked { from_s, to_s } => (
                 "scans-unchecked",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s scans are too few, or share too little with those a second before, to tell whether the IMU draws them away: that is not checked there"
+                    "from {from_s:.1} to {to_s:.1} s scans are too few, or overlap too little with those of a second before, to check whether the IMU pulls them away"
                 ),
             ),
             Self::Scale { scale, sigma } => ("scale", scale_sentence(*scale, *sigma)),
             Self::LittleAgreement { share } => (
                 "little-agreement",
                 format!(
-                    "only {:.0} % of a scan agrees with the map on average, where IMU and scans that fit each other have 80 % and more: poses may be metres off; is an axis or the sign of the IMU wrong (at rest it feels 9.81 m/s² upwards), or the LiDAR's rotation on it? Run without the IMU to see",
+                    "only {:.0} % of a scan agrees with the map on average; with a matching IMU it is 80 % or more: poses may be metres off; is an axis or the sign of the IMU wrong (at rest it measures 9.81 m/s² upwards), or the LiDAR's rotation relative to it? Run without the IMU to compare",
                     share * 100.0
                 ),
             ),
             Self::StretchDisagrees { from_s, share } => (
                 "stretch-disagrees",
                 format!(
-                    "for ten seconds from {from_s:.1} s on only {:.0} % of a scan agrees with the map, where IMU and scans that fit each other have 80 % and more: poses there and behind may be wrong; did the IMU or the LiDAR slip, or was most of what it saw in motion?",
+                    "for ten seconds from {from_s:.1} s only {:.0} % of a scan agrees with the map; with a matching IMU it is 80 % or more: poses from there on may be wrong; did the IMU or the LiDAR slip, or was most of the scene moving?",
                     share * 100.0
                 ),
             ),
             Self::BeganUnfelt => (
                 "began-unfelt",
-                "at the start the carrier moved by its scans, and its IMU did not feel it, as of one that rolls evenly: the first second may be decimetres off, and all behind it with it; stand still for a second at the start, or begin in full stride"
+                "at the start the scans moved, but the IMU did not sense it (steady motion): the first second may be decimetres off, and everything after it as well; stand still for a second at the start, or begin at walking pace"
                     .to_owned(),
             ),
             Self::OutOfRange { what } => ("out-of-range", what.clone()),
@@ -358,7 +358,7 @@ impl OdometryWarning {
                 };
                 (
                     "no-imu",
-                    format!("no IMU: {deskewed}the world is not level"),
+                    format!("no IMU: {deskewed}the world is not gravity-aligned"),
                 )
             }
             Self::Damaged { what } => ("damaged", what.clone()),
@@ -400,12 +400,12 @@ const NEAR_UNIT: f64 = 0.2;
 fn axes_sentence(sensor: &str, right: &str) -> String {
     let why = match (sensor, right) {
         ("accelerometer", "(-x, -y, -z)") => {
-            ", as of one of the wrong sign: at rest it must feel 9.81 m/s² upwards"
+            ", which means a wrong sign: at rest it must measure 9.81 m/s² upwards"
         }
         _ => "",
     };
     format!(
-        "the {sensor} fits the scans by far best if the rig's axes x, y and z are its own {right}{why}; trajectory and gravity are wrong by it: mend the rotations in the rig file or the IMU's driver, or run without the IMU"
+        "the {sensor} fits the scans by far best if the rig's axes x, y and z are its own {right}{why}; trajectory and gravity are wrong: fix the rotations in the rig file or the IMU's driver, or run without the IMU"
     )
 }
 
@@ -415,19 +415,19 @@ fn scale_sentence(scale: f64, sigma: f64) -> String {
         .find(|(factor, _)| (scale / factor - 1.0).abs() < NEAR_UNIT);
     let why = match unit {
         _ if scale < 0.0 => {
-            "the accelerometer has the wrong sign: at rest it must feel 9.81 m/s² upwards"
+            "the accelerometer has the wrong sign: at rest it must measure 9.81 m/s² upwards"
                 .to_owned()
         }
         Some((_, unit)) => format!("as with {unit}"),
         None if (scale - 1.0).abs() < LARGEST_RANGE_OFF => format!(
-            "ranges are {:.1} % too {}, and so is the path, or the accelerometer's scale is off; measure a known distance with the LiDAR, and look whether the accelerometer has 9.81 m/s² at rest",
+            "ranges (and the path) are {:.1} % too {}, or the accelerometer's scale is off; measure a known distance with the LiDAR, and check that the accelerometer measures 9.81 m/s² at rest",
             100.0 * (scale - 1.0).abs(),
             if scale > 1.0 { "long" } else { "short" }
         ),
-        None => "a unit is wrong, or the IMU is not on this LiDAR".to_owned(),
+        None => "a unit is wrong, or the IMU does not belong to this LiDAR".to_owned(),
     };
     format!(
-        "by the scans the carrier accelerates {scale:.3} ± {sigma:.3} times as much as by its accelerometer: {why}; trajectory and covariances are wrong by it"
+        "accelerations from the scans are {scale:.3} ± {sigma:.3} times those of the accelerometer: {why}; trajectory and covariances are wrong by that factor"
     )
 }
 
@@ -435,13 +435,13 @@ fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> 
     let these = format!("{scans} of {of} scans");
     match (field, not_believed) {
         (Some(field), 0) => format!(
-            "the field `{field}` holds no times of points in {these}: these scans are not deskewed"
+            "the field `{field}` has no usable point times in {these}: these scans are not deskewed"
         ),
         (None, 0) => {
-            format!("the points of {these} carry no times: these scans are not deskewed")
+            format!("the points of {these} have no times: these scans are not deskewed")
         }
         (field, not_believed) => format!(
-            "by the times of their points{} {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
+            "according to the times of their points{}, {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
             field.map_or(String::new(), |f| format!(" (`{f}`)"))
         ),
     }

@@ -79,7 +79,7 @@ fn posed(path: &Path, file: &Path, rows: &[f64; 16]) -> Result<PosedImage, Error
     let world_from_rig: Se3 = rigid(rows).ok_or(Error::PosedImages {
         path: file.to_owned(),
         line: 1,
-        reason: "the pose is no rigid transform",
+        reason: "the pose is not a rigid transform",
     })?;
     Ok(PosedImage {
         path: path.to_owned(),
@@ -167,7 +167,7 @@ fn strecha(folder: &Path, cameras: &Path) -> Result<PosedImages, Error> {
         return Err(Error::PosedImages {
             path: cameras.to_owned(),
             line: 1,
-            reason: "no file belongs to an image",
+            reason: "no file for an image",
         });
     };
     Ok(PosedImages {

@@ -97,7 +97,7 @@ impl PosedImages {
             images.push(PosedImage {
                 path: folder.join(IMAGES).join(name),
                 camera: CAMERA.to_owned(),
-                world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
+                world_from_rig: rigid(&rows).ok_or(refuse("the pose is not a rigid transform"))?,
                 instant: None,
             });
         }

@@ -74,7 +74,7 @@ impl SocketDevice {
             }
             _ => Err(Error::Protocol {
                 device,
-                problem: "no device descriptor where one is expected first".to_owned(),
+                problem: "expected a device descriptor first".to_owned(),
             }),
         }
     }
@@ -141,7 +141,7 @@ impl MockUsb {
     pub fn bind(path: &Path, vendor: u16, product: u16) -> Result<Self, Error> {
         let failed = |errno: Errno| Error::Open {
             device: path.display().to_string(),
-            action: "make the mock USB device",
+            action: "create the mock USB device",
             cause: errno.into(),
         };
         let listener = datagrams().map_err(failed)?;
