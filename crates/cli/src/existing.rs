@@ -13,7 +13,7 @@ use crate::files::is_same;
 pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result<()> {
     anyhow::ensure!(
         !read.iter().any(|input| is_same(input, result)),
-        "{}: would replace what is read: choose another name for the result",
+        "{}: would replace an input file: choose another name for the result",
         result.display()
     );
     anyhow::ensure!(

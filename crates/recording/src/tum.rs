@@ -69,10 +69,10 @@ fn parse_line(line: &str) -> Result<StampedPose, String> {
             columns.len()
         ));
     }
-    let time = parse_stamp(stamp).ok_or_else(|| format!("`{stamp}` is no time in seconds"))?;
+    let time = parse_stamp(stamp).ok_or_else(|| format!("`{stamp}` is not a time in seconds"))?;
     let mut values = [0.0f64; COLUMNS - 1];
     for (value, text) in values.iter_mut().zip(numbers) {
-        *value = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+        *value = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
         if !value.is_finite() {
             return Err(format!("`{text}` is not finite"));
         }

@@ -164,7 +164,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             }
             if c.board.is_likely {
                 text += &format!(
-                    "\n    board bent by {:.1} ± {:.1} mm, as the views make likely: it is in these standard deviations",
+                    "\n    board bent by {:.1} ± {:.1} mm, as the views make likely; the standard deviations account for it",
                     c.board.bend_m * 1e3,
                     c.board.bend_sigma_m * 1e3
                 );

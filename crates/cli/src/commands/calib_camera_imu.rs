@@ -172,7 +172,7 @@ fn summary(calibration: &CameraImuCalibration) -> String {
         let s = c.position_sigma_m.map(|s| s * 1e3);
         let worst_turn = c.rotation_sigma_rad.iter().copied().fold(0.0, f64::max);
         text += &format!(
-            "\n  {}: {:.3} px rms over {} corners, {} outliers; clock {:+.3} ± {:.3} ms; on the IMU at {:.1} {:.1} {:.1} ± {:.1} {:.1} {:.1} mm, turned ± {:.3}°",
+            "\n  {}: {:.3} px rms over {} corners, {} outliers; clock {:+.3} ± {:.3} ms; position on the IMU {:.1} {:.1} {:.1} ± {:.1} {:.1} {:.1} mm, rotation ± {:.3}°",
             c.name,
             c.rms_px,
             c.corners,
@@ -190,7 +190,7 @@ fn summary(calibration: &CameraImuCalibration) -> String {
     }
     if calibration.board_is_measured {
         text += &format!(
-            "\n  board: {:+.2} ± {:.2} % larger than said, by the accelerometer",
+            "\n  board: {:+.2} ± {:.2} % larger than specified, according to the accelerometer",
             calibration.board_excess * 100.0,
             calibration.board_excess_sigma * 100.0
         );

@@ -154,7 +154,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     };
     anyhow::ensure!(
         files.len() <= most,
-        "{} files, at most {most} are expected: see --help for their order",
+        "{} files, but at most {most} are expected: see --help for their order",
         files.len()
     );
     let Some(first) = files.first() else {
@@ -167,7 +167,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
             let found = read_kalibr(files)?;
             anyhow::ensure!(
                 !found.rig.cameras.is_empty() || arguments.rig.is_some(),
-                "{name} has no camera: give the rig of its IMU with --rig"
+                "{name} has no camera: give the rig for this IMU with --rig"
             );
             found
         }
@@ -197,7 +197,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
                 rig.cameras.insert(name, mounted);
             }
             if arguments.rig.is_none() {
-                notes.push("no poses in CameraInfo: all cameras are at the origin".to_owned());
+                notes.push("CameraInfo has no poses: all cameras are put at the origin".to_owned());
             }
             ImportedRig {
                 rig,
@@ -247,7 +247,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
             }
             (PosesOf::Nothing, Some(before), _) => before.rig_from_camera,
             _ => anyhow::bail!(
-                "nothing says where {name} is on the rig, which has {}: give its cameras these names",
+                "the pose of {name} on the rig is unknown; the rig has {}: give the cameras these names",
                 rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
             ),
         };
@@ -256,7 +256,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
             (PosesOf::FirstCamera | PosesOf::Nothing, Some(before)) => before.timing,
             (PosesOf::FirstCamera, None) => {
                 notes.push(format!(
-                    "{name}: nothing says how its clock stands to the IMU's: taken for the same"
+                    "{name}: the offset between its clock and the IMU's is unknown: zero is assumed"
                 ));
                 camera.timing
             }

@@ -116,7 +116,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let camera = mounted.camera;
     anyhow::ensure!(
         (views.width, views.height) == (camera.width, camera.height),
-        "camera {name}: images of {} × {} pixels, its lens in {} is for {} × {}",
+        "camera {name}: images are {} × {} pixels, but its lens in {} is for {} × {}",
         views.width,
         views.height,
         arguments.rig.display(),

@@ -154,7 +154,7 @@ fn write_clocks(
 ) -> anyhow::Result<()> {
     ensure!(
         !clocks.is_empty(),
-        "{}: no camera's clock was measured to half a millisecond and the same all along, with its axes right, so that no rig is written; the checks say why",
+        "{}: no camera's clock could be measured to half a millisecond, constant in time and with correct axes, so that no rig is written; the checks give the reasons",
         out.display()
     );
     let again = verify(recording, rig, config, &|p| context.show(p))?;
@@ -164,7 +164,7 @@ fn write_clocks(
         .find(|c| c.code == "time-offset" && c.outcome == Verdict::Fail);
     if let Some(check) = failed {
         bail!(
-            "{}: not written, with the measured clocks the rig does not fit either: {}: {}",
+            "{}: not written, because the rig does not fit with the measured clocks either: {}: {}",
             out.display(),
             check.name,
             check.sentence

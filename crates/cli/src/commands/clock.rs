@@ -99,7 +99,7 @@ fn line(clock: &DeviceClock) -> String {
     }
     let _ = writeln!(
         out,
-        "; delays beyond the shortest: median {:.2} ms, 99 % {:.2} ms; recorded stamps {}: {:+.1} µs, rms {:.1} µs",
+        "; delays above the minimum: median {:.2} ms, 99 % {:.2} ms; recorded stamps {}: {:+.1} µs, rms {:.1} µs",
         clock.delay_p50_ms,
         clock.delay_p99_ms,
         if clock.locked {

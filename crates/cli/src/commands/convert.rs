@@ -104,9 +104,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 fn left_out(written: &Written) -> Option<Finding> {
     let count = written.covariances_left_out;
     (count > 0).then(|| {
-        let what = format!("the format has no place for covariances: {count} were left out");
+        let what = format!("the format cannot hold covariances: {count} were left out");
         Finding::new("covariance", Verdict::Warn, "covariance", what)
             .value(count as f64, "")
-            .remedy("write mcap, or keep the file they were in")
+            .remedy("use mcap, or keep the original file")
     })
 }

@@ -278,7 +278,7 @@ fn shaking(e: &Evaluation) -> String {
         let longest = e.relocalizations.iter().map(|r| r.gap_secs);
         let worst = e.relocalizations.iter().filter_map(|r| r.error_change_m);
         out += &format!(
-            "\ncame back {} after up to {:.2} s; the error grew by up to {:.3} m",
+            "\nrelocalized {} after gaps of up to {:.2} s; the error grew by up to {:.3} m",
             match e.relocalizations.len() {
                 1 => "once".to_owned(),
                 n => format!("{n} times"),
@@ -288,7 +288,7 @@ fn shaking(e: &Evaluation) -> String {
         );
     }
     out + &format!(
-        "\nlongest gap {:.2} s, begins {:.2} s after the truth, ends {:.2} s before it",
+        "\nlongest gap {:.2} s, starts {:.2} s after the truth, ends {:.2} s before it",
         e.coverage.longest_gap_secs, e.coverage.initialisation_secs, e.coverage.missing_end_secs
     )
 }

@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let is_same = |path: &&Path| files::is_same(path, other) || files::is_copy(path, other);
         if let Some(same) = read.iter().find(|path| is_same(path)) {
             bail!(
-                "{}: --with takes other walks, each once, and this is {}: one with itself says nothing new",
+                "{}: --with takes other walks, each once, but this is {}: solving a walk with itself adds nothing",
                 other.display(),
                 same.display()
             );
@@ -131,7 +131,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 /// How much of a walk was solved.
 fn poses_of(trajectory: &Path, r: &GroundTruthReport) -> String {
     format!(
-        "{}: {} poses, {} of {} frames that were looked up localized, {} bridged, reprojection {:.3} px rms\n",
+        "{}: {} poses, {} of {} query frames localized, {} bridged, reprojection {:.3} px rms\n",
         trajectory.display(),
         r.poses,
         r.localized,

@@ -110,7 +110,7 @@ fn device_name(text: &str) -> Result<String, String> {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     expect_file(
         &arguments.source,
-        "name a file or folder of another program",
+        "give a file or folder of another program",
     )?;
     context.claim(&arguments.out, &[&arguments.source])?;
     let config = ImportConfig {
@@ -147,8 +147,8 @@ fn text(report: &ImportReport) -> String {
         report.device,
         report.duration_secs,
         match report.clock.name() {
-            "utc" => "of the time of day, by the device's own clock",
-            _ => "since a zero of the device's own",
+            "utc" => "in time of day, from the device's own clock",
+            _ => "relative to an arbitrary zero of the device",
         },
     );
     for count in &report.records {
@@ -169,14 +169,14 @@ fn text(report: &ImportReport) -> String {
     }
     out.push_str(match report.has_rig {
         true => "  rig attached\n",
-        false => "  no rig: give one with --rig before images are used\n",
+        false => "  no rig: give one with --rig before using images\n",
     });
     out
 }
 
 fn line(count: &RecordCount) -> String {
     let made = match count.derived {
-        true => "made of other records".to_owned(),
+        true => "made from other records".to_owned(),
         false => format!("{} read", count.read),
     };
     let mut line = format!(

@@ -375,7 +375,7 @@ fn from_posed_images(
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
-    super::expect_file(folder, "name a folder of posed images")?;
+    super::expect_file(folder, "give a folder of posed images")?;
     context.claim(&arguments.out, &[])?;
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
@@ -433,14 +433,15 @@ fn cameras(map: &HdMap) -> Vec<Finding> {
         let [stated_px, found_px] = [stated, found].map(|c| c.camera.focal_px()[0]);
         let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
         let what = format!(
-            "its focal length is {found_px:.1} px as the images show it, {stated_px:.1} px as the list says; turned by {:.2}°, shifted by {:.3} (in \
-             the unit of the poses): the map has it as the images show it",
+            "its focal length is {found_px:.1} px according to the images, {stated_px:.1} px \
+             according to the list; rotated by {:.2}°, shifted by {:.3} (in the unit of the poses): \
+             the map uses the values from the images",
             moved.rotation.angle().to_degrees(),
             moved.translation.norm()
         );
         let finding = Finding::new("camera-differs", Verdict::Warn, name, what)
             .value(100.0 * (found_px / stated_px - 1.0), "%")
-            .remedy("calibrate it; refine_cameras = false in --config takes it as the list says");
+            .remedy("calibrate it; refine_cameras = false in --config uses the values of the list");
         Some(finding)
     });
     found.collect()

@@ -114,7 +114,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     let blind = shares.iter().filter(|share| **share == 0.0).count();
     anyhow::ensure!(
         blind < shares.len(),
-        "none of {} images shows anything of the surface: give poses in the world of {}",
+        "none of {} images shows any of the surface: give poses in the world frame of {}",
         shares.len(),
         arguments.trajectory.display()
     );
@@ -130,7 +130,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     let judged = Judged::new(&judgement, &name, &summary);
     context.print(&judged, || {
         let made = format!(
-            "{}: {} images, {blind} of them without any depth; {:.0} % of the pixels of half of them have one, {:.0} % of 95 % of them; from {scans} scans",
+            "{}: {} images, {blind} without any depth; {:.0} % of the pixels have depth in half of the images, {:.0} % in 95 % of them; from {scans} scans",
             arguments.out.display(),
             shares.len(),
             100.0 * half,

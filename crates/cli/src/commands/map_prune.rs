@@ -70,7 +70,7 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
     });
     context.print(&summary, || {
         format!(
-            "{}: {after_mb:.2} of {before_mb:.2} MB; {} of {} points, {} of {} descriptors (at most {} a point)\n  points in a view: median {} of {}, fewest {} of {}",
+            "{}: {after_mb:.2} of {before_mb:.2} MB; {} of {} points, {} of {} descriptors (at most {} per point)\n  points per view: median {} of {}, minimum {} of {}",
             arguments.out.display(),
             report.points[1],
             report.points[0],
@@ -85,7 +85,7 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
     })?;
     anyhow::ensure!(
         after_mb <= arguments.size_mb,
-        "{}: the map became {after_mb:.2} MB: ask for less",
+        "{}: the map became {after_mb:.2} MB: ask for a smaller size",
         arguments.out.display()
     );
     Ok(super::map_folder::outcome_of(&left, context))

@@ -54,7 +54,7 @@ fn settings() -> String {
 pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Outcome> {
     let config: ScanPoseConfig = super::config_or_default(arguments.config.as_deref())?;
     let folder = &arguments.clouds;
-    super::expect_file(folder, "name a folder of clouds")?;
+    super::expect_file(folder, "give a folder of clouds")?;
     let mut read = vec![folder.as_path()];
     read.extend(arguments.trajectory.as_deref());
     context.claim(&arguments.out, &read)?;
@@ -62,7 +62,7 @@ pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Ou
     let scans = match is_graph_folder(folder) {
         true => of_graph(folder, given.as_ref())?,
         false => {
-            let missing = "nothing says where its clouds were taken: give --trajectory";
+            let missing = "the poses of the clouds are unknown: give --trajectory";
             let given = given.with_context(|| format!("{}: {missing}", folder.display()))?;
             of_files(folder, &given)?
         }
@@ -85,7 +85,7 @@ pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Ou
     context.print(&summary, || {
         let (before, after) = (&report.lidar_before, &report.lidar_after);
         let mut text = format!(
-            "{}: {} scans; {} planes within {:.1} cm rms of one another (before {:.1} cm), {} edges within {:.1} cm (before {:.1} cm); moved by up to {:.1} cm and {:.2}°",
+            "{}: {} scans; {} planes agree to {:.1} cm rms (before {:.1} cm), {} edges to {:.1} cm (before {:.1} cm); moved by up to {:.1} cm and {:.2}°",
             arguments.out.display(),
             report.scans,
             after.plane_matches,
@@ -133,12 +133,12 @@ fn of_files(folder: &Path, given: &Trajectory) -> anyhow::Result<Vec<PosedScan>>
         let scan = scan?;
         anyhow::ensure!(
             clouds.scan_times() != ScanTimes::Rate,
-            "{}: nothing says when the clouds were taken: give them names that are stamps, or a times.txt",
+            "{}: the times of the clouds are unknown: use stamps as file names, or a times.txt",
             folder.display()
         );
         let pose = given
             .at(scan.time)
-            .with_context(|| format!("{}: it is not within the trajectory", scan.path.display()))?;
+            .with_context(|| format!("{}: it is outside the trajectory", scan.path.display()))?;
         let points = scan.cloud.scan.points.iter();
         scans.push(PosedScan {
             time: scan.time,

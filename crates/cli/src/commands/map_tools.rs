@@ -271,7 +271,7 @@ fn text(folder: &Path, info: &Info) -> String {
     }
     if let Some([half, most]) = info.point_sigma_m {
         lines.push(format!(
-            "σ of a point where it is known worst, keyframes taken as exact: median {:.1} cm, 95 % below {:.1} cm",
+            "σ of a point in the worst direction, given exact keyframes: median {:.1} cm, 95 % below {:.1} cm",
             100.0 * half,
             100.0 * most
         ));
@@ -281,7 +281,7 @@ fn text(folder: &Path, info: &Info) -> String {
         None => "σ of the keyframes: unknown".to_owned(),
     });
     let failures = info.failures.iter();
-    lines.extend(failures.map(|what| format!("failed when it was made: {what}")));
+    lines.extend(failures.map(|what| format!("failed its checks when it was made: {what}")));
     lines.join("\n")
 }
 
@@ -342,7 +342,7 @@ pub fn colmap_cameras(
     let cameras = lines.filter(|line| !line.starts_with('#')).map(|line| {
         let words: Vec<&str> = line.split(' ').collect();
         let [_, model, width, height, parameters @ ..] = &words[..] else {
-            anyhow::bail!("{line:?} is no camera of COLMAP");
+            anyhow::bail!("{line:?} is not a COLMAP camera");
         };
         let parameters = parameters.iter().map(|word| word.parse());
         Ok(ColmapCamera {
@@ -369,7 +369,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
     };
     anyhow::ensure!(
         region.contains(&region.min),
-        "--min-m lies beyond --max-m: give the smallest coordinates first"
+        "--min-m exceeds --max-m: give the smallest coordinates first"
     );
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
@@ -418,7 +418,7 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
     });
     context.print(&summary, || {
         format!(
-            "{}: {} points, {} of them in both maps, median {:.1} cm apart; the second map is placed to {:.1} cm (1 σ) where it is known worst",
+            "{}: {} points, {} of them in both maps, median {:.1} cm apart; position of the second map: {:.1} cm (1 σ) in the worst direction",
             arguments.out.display(),
             merged.point_count(),
             report.shared,

@@ -282,7 +282,7 @@ fn to_html(
             count("points of the LiDAR's surface", surface.len()),
             Figure::new("reprojection error of a point, median", error_px, "px"),
             Figure::new(
-                "σ of a point where it is known worst, median",
+                "σ of a point in the worst direction, median",
                 sigma_m * 1e2,
                 "cm",
             ),

@@ -76,7 +76,7 @@ pub struct Arguments {
 pub fn speed(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(speed),
-        _ => Err("expected a positive number, for instance 1 or 0.5".to_owned()),
+        _ => Err("expected a positive number, for example 1 or 0.5".to_owned()),
     }
 }
 
@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let playback = Playback::open(source)?;
     for topic in playback.unplayed() {
         context.say(&format!(
-            "warning: {topic} is not played: the bytes that its device sent were not recorded"
+            "warning: {topic} is not played: its device's raw bytes were not recorded"
         ));
     }
     let folder = Folder::create(&arguments.out)?;
@@ -145,7 +145,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     });
     context.print(&report, || {
         let mut text = format!(
-            "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} pieces of the IMU's stream, {} sidecar messages",
+            "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} chunks of the IMU's stream, {} sidecar messages",
             source.display(),
             sent.lidar_data_packets + sent.lidar_position_packets,
             sent.lidar_position_packets,
@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 fn playback_needs(playback: &Playback, arguments: &Arguments) -> String {
     match playback.imu_family() {
         Some(ImuFamily::Sbg) => format!(
-            "the recorded SBG unit needs the CAN interface {}: make it, or name another with --can",
+            "the recorded SBG unit needs the CAN interface {}: create it, or name another with --can",
             arguments.can
         ),
         _ => format!("the devices in {}", arguments.out.display()),

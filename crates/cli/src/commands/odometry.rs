@@ -104,12 +104,14 @@ struct Report<'a> {
 }
 
 /// What the file of covariances says of itself.
-const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of the scans against the map and those that the map inherits from\n\
-     the poses it was drawn from; errors of the rig (where the LiDAR is on the IMU, the LiDAR's scale and clock) are not in it.";
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is taken as exact. Included: errors \
+     of the scans against the map, and those that the map inherits from\nthe poses it was built \
+     from. Not included: errors of the rig (pose of the LiDAR on the IMU, the LiDAR's scale and \
+     clock).";
 /// What it says besides where loops were closed.
-const LOOPS_CLOSED: &str = "\nLoops are closed: it is that of the graph of steps and loops, and holds only if no closed loop is false.";
+const LOOPS_CLOSED: &str = "\nLoops are closed: the covariance is that of the graph of steps and loops, and holds only if no closed loop is false.";
 /// What it says besides where scans are rare.
-const RARE_SCANS: &str = "\nThe scans are more than a second apart: that one was registered to the wrong surface is not in it. Do not rely on it.";
+const RARE_SCANS: &str = "\nThe scans are more than a second apart: registration to the wrong surface is not included. Do not rely on it.";
 
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
@@ -181,12 +183,12 @@ fn about_loops(loops: &Closing) -> String {
 fn about_clouds(path: &Path, clouds: Option<&StoredReport>) -> String {
     let Some(stored) = clouds else {
         return format!(
-            "\n  {}: not written, as IMU and scans contradict each other",
+            "\n  {}: not written because IMU and scans contradict each other",
             path.display()
         );
     };
     format!(
-        "\n  {}: {} scans, {:.1} % of their points, {} places where rings bend",
+        "\n  {}: {} scans, {:.1} % of their points, {} edge points",
         path.display(),
         stored.scans,
         100.0 * stored.share(),
@@ -228,7 +230,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ];
         anyhow::ensure!(
             !others.contains(&Some(clouds)),
-            "{} is written twice: give --out-clouds a file of its own",
+            "{} would be written twice: give --out-clouds another file",
             clouds.display()
         );
         context.claim(clouds, &read)?;
@@ -243,7 +245,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     anyhow::ensure!(
         arguments.out_clouds.is_none() || is_recording(&choice)?,
-        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is none: `lsfb import` makes one of it",
+        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is not one: convert it with `lsfb import`",
         arguments.input.display()
     );
     let mut found = run_on(&choice, &config, context)?;
@@ -282,7 +284,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     context.print(&report, || {
         let mut text = format!(
-            "{}: {} of {} scans registered, {:.2} m of path, {:.1} mm to the map's planes",
+            "{}: {} of {} scans registered, path {:.2} m, residual {:.1} mm to the map's planes",
             arguments.out.display(),
             r.registered,
             r.scans,
@@ -290,7 +292,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.plane_rms_m * 1e3
         );
         let deskewed = [
-            (r.deskew.by_times, "by the times of their points"),
+            (r.deskew.by_times, "by point times"),
             (r.deskew.by_azimuth, "by azimuth"),
             (r.deskew.none, "not at all"),
         ];

@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if report.salvaged_messages > 0 {
             let _ = write!(
                 out,
-                "\n  {} messages come from a torn chunk: whole, but nothing has checked them",
+                "\n  {} messages come from a damaged chunk: complete, but without a valid checksum",
                 report.salvaged_messages
             );
         }

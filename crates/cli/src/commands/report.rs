@@ -63,7 +63,7 @@ pub struct Arguments {
 /// `narrow-corridor=12.5,-3,4`.
 fn inset(text: &str) -> Result<(String, [f64; 3]), String> {
     let problem =
-        || "give an environment, the middle of a square and its side: hall=12.5,-3,4".to_owned();
+        || "expected an environment, the centre of a square and its side: hall=12.5,-3,4".to_owned();
     let (name, numbers) = text.split_once('=').ok_or_else(problem)?;
     let numbers: Result<Vec<f64>, _> = numbers.split(',').map(str::parse).collect();
     let numbers: [f64; 3] = numbers
@@ -231,7 +231,7 @@ fn judged(
         let path = estimates.join(format!("{name}.tum"));
         let truth_path = folder.walk_truth(name);
         if !path.exists() || !truth_path.exists() {
-            let what = "has no estimate, or no truth to judge it by";
+            let what = "has no estimate, or no truth to evaluate it against";
             findings.push(Finding::new("estimate", Verdict::Unknown, name, what));
             continue;
         }

@@ -146,7 +146,7 @@ fn lidar_sender(text: &str) -> Result<Sender, String> {
     };
     let refused = |_| {
         format!(
-            "expected an address as 192.168.1.201, or a name and an address as rear=192.168.1.201, not {text:?}"
+            "expected an address such as 192.168.1.201, or a name and an address such as rear=192.168.1.201, not {text:?}"
         )
     };
     let address = address.parse().map_err(refused)?;
@@ -229,11 +229,11 @@ fn pin(text: &str) -> Result<String, String> {
 /// Records, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     for (path, remedy) in [
-        (&arguments.devices, "let `lsfb sim` write an example"),
-        (&arguments.pcap, "name a capture file"),
-        (&arguments.db3, "name a rosbag2 database"),
-        (&arguments.mcap, "name an MCAP file"),
-        (&arguments.rig, "leave --rig out"),
+        (&arguments.devices, "`lsfb sim` writes an example"),
+        (&arguments.pcap, "give a capture file"),
+        (&arguments.db3, "give a rosbag2 database"),
+        (&arguments.mcap, "give an MCAP file"),
+        (&arguments.rig, "leave out --rig"),
     ] {
         if let Some(path) = path {
             super::expect_file(path, remedy)?;
@@ -271,7 +271,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         (_, Some(db3), _) => replay(Rosbag2Source::open(db3)?, &config, out, &show)?,
         (_, _, Some(mcap)) => replay_recording(mcap, &config, out, &show)?,
-        _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
+        _ => bail!("give a source: --devices, --pcap, --db3 or --mcap"),
     };
     if report.streams.iter().all(|stream| stream.decoded == 0) {
         let why = nothing(&report, &beside);
@@ -290,12 +290,12 @@ fn nothing(report: &CaptureReport, beside: &str) -> String {
     let received: u64 = report.streams.iter().map(|s| s.received).sum();
     let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
     let mut why = match (received, bad) {
-        (0, _) => "no scan: no datagram of the LiDAR is in it".to_owned(),
-        (_, Some(bad)) => format!("no scan was made of {received} datagrams: {bad}"),
-        (_, None) => format!("no scan was made of {received} datagrams"),
+        (0, _) => "no scan: it has no LiDAR datagrams".to_owned(),
+        (_, Some(bad)) => format!("no scan could be assembled from {received} datagrams: {bad}"),
+        (_, None) => format!("no scan could be assembled from {received} datagrams"),
     };
     if !beside.is_empty() {
-        let _ = write!(why, "; beside it: {beside}");
+        let _ = write!(why, "; also found: {beside}");
     }
     why
 }
@@ -374,7 +374,7 @@ fn random_pin() -> anyhow::Result<String> {
     let mut bytes = [0; 8];
     std::fs::File::open("/dev/urandom")
         .and_then(|mut source| source.read_exact(&mut bytes))
-        .context("no random PIN can be made; choose one with --pin")?;
+        .context("cannot generate a random PIN; choose one with --pin")?;
     Ok(format!("{:06}", u64::from_le_bytes(bytes) % 1_000_000))
 }
 
@@ -458,13 +458,13 @@ pub fn text(report: &CaptureReport) -> String {
             (s.bad, "unreadable"),
             (s.missing, "missing"),
             (s.reordered, "too late for their scan"),
-            (s.kept_out, "of another LiDAR kept out"),
+            (s.kept_out, "from another LiDAR, rejected"),
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
-            (s.interruptions, "times gone and back"),
+            (s.interruptions, "disconnections"),
             (s.silences, "times silent"),
-            (s.slowdowns, "times far too slow"),
-            (s.stale, "times nothing new"),
+            (s.slowdowns, "stretches with a much too low rate"),
+            (s.stale, "stretches of repeated data"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");

@@ -171,12 +171,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let (_, folder) = open(&unpair.devices)?;
             if !folder.unpair(&unpair.name)? {
                 bail!(
-                    "no phone called {:?} is paired; `lsfb sidecar list` names them",
+                    "no paired phone is called {:?}; `lsfb sidecar list` shows them",
                     unpair.name
                 );
             }
             context.print(&serde_json::json!({ "unpaired": unpair.name }), || {
-                format!("{} is forgotten", unpair.name)
+                format!("{} is unpaired", unpair.name)
             })?;
             Ok(Outcome::Done)
         }
@@ -200,7 +200,7 @@ impl Pair {
         let host = match (self.address, sidecar.listen.ip()) {
             (Some(host), _) => host,
             (None, listen) if !listen.is_unspecified() => listen,
-            (None, _) => way_out().context("name this machine's address with --address")?,
+            (None, _) => way_out().context("give this machine's address with --address")?,
         };
         if let Some(name) = &self.push {
             return self.invite_pusher(name, host, &sidecar, &folder, context);
@@ -219,7 +219,7 @@ impl Pair {
         let valid_secs = self.valid_secs;
         context.print(
             &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
-            || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Show it to nobody else."),
+            || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Do not show it to anyone else."),
         )?;
         Ok(Outcome::Done)
     }
@@ -236,7 +236,7 @@ impl Pair {
     ) -> anyhow::Result<Outcome> {
         let listen = sidecar.push_listen.with_context(|| {
             format!(
-                "{}: [sidecar] has no push_listen, the address for apps that push by plain HTTP, such as \"0.0.0.0:8791\"",
+                "{}: [sidecar] has no push_listen, the address for apps that push over plain HTTP, such as \"0.0.0.0:8791\"",
                 self.devices.display()
             )
         })?;
@@ -250,8 +250,8 @@ impl Pair {
         let picture = qr_code::of(&url);
         context.print(&serde_json::json!({ "url": url }), || {
             format!(
-                "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair {name}`. Show it to nobody else; it is not \
-                 encrypted on the network."
+                "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair \
+                 {name}`. Do not show it to anyone else; it is not encrypted on the network."
             )
         })?;
         Ok(Outcome::Done)
@@ -272,7 +272,7 @@ impl Play {
             (Some(name), known) if known.contains(name) => name.clone(),
             (None, [only]) => only.clone(),
             (_, known) => bail!(
-                "{}: name one of its phones with --device: {}",
+                "{}: choose one of its phones with --device: {}",
                 self.recording.display(),
                 match known.len() {
                     0 => "there is none".to_owned(),
@@ -312,7 +312,7 @@ impl Play {
         });
         context.print(&report, || {
             format!(
-                "{}: {} messages sent, and all of them stored",
+                "{}: {} messages sent and stored",
                 self.recording.display(),
                 sent.sidecar_messages
             )

@@ -53,14 +53,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = arguments.recording.display();
     ensure!(
         !devices.is_empty(),
-        "{name}: there is no phone in it; `lsfb scan` records those that are paired by `lsfb sidecar pair`"
+        "{name}: it contains no phone; `lsfb scan` records phones paired with `lsfb sidecar pair`"
     );
     if let Some(wanted) = &arguments.device {
         let known = devices.join(", ");
         devices.retain(|device| device == wanted);
         ensure!(
             !devices.is_empty(),
-            "{name}: there is no phone {wanted:?} in it, but {known}"
+            "{name}: it does not contain phone {wanted:?}, but {known}"
         );
     }
     for device in &devices {
@@ -94,7 +94,7 @@ fn text(walks: &[Walk]) -> String {
         if walk.unmapped > 0 {
             let _ = writeln!(
                 out,
-                "  {} messages KEEP THE TIME OF THE RECORDING: the exchanges of times do not tell theirs",
+                "  {} messages KEEP RECORDING TIME: too few clock exchanges",
                 walk.unmapped
             );
         }
@@ -102,7 +102,7 @@ fn text(walks: &[Walk]) -> String {
             let _ = writeln!(out, "  clock {}: {}", clock.clock_id, words_of(clock));
         }
         if walk.mapped == 0 && walk.unmapped == 0 {
-            let _ = writeln!(out, "  its stamps are of UTC, and taken as they are");
+            let _ = writeln!(out, "  its stamps are UTC and are kept");
         }
     }
     out
@@ -111,11 +111,11 @@ fn text(walks: &[Walk]) -> String {
 /// What is known of a clock.
 fn words_of(clock: &WalkClock) -> String {
     let Some(asymmetry_us) = clock.asymmetry_at_most_us else {
-        return format!("not known, of {} exchanges of times", clock.unusable);
+        return format!("unknown, from {} clock exchanges", clock.unusable);
     };
     let mut words = format!("{} exchanges", clock.exchanges);
     if clock.unusable > 0 {
-        let _ = write!(words, " and {} that are of no use", clock.unusable);
+        let _ = write!(words, " and {} unusable ones", clock.unusable);
     }
     if let Some(sigma_us) = clock.sigma_us {
         let _ = write!(words, ", σ {sigma_us:.0} µs");
@@ -125,14 +125,14 @@ fn words_of(clock: &WalkClock) -> String {
     }
     let _ = write!(
         words,
-        ", wrong by at most {:.1} ms where one way is slower",
+        ", at most {:.1} ms error from unequal delays",
         asymmetry_us / 1e3
     );
     match clock.steps {
         0 => {}
-        1 => words.push_str(", began anew once"),
+        1 => words.push_str(", restarted once"),
         steps => {
-            let _ = write!(words, ", began anew {steps} times");
+            let _ = write!(words, ", restarted {steps} times");
         }
     }
     words

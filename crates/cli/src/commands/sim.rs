@@ -249,8 +249,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     config.seed = arguments.seed.unwrap_or(config.seed);
     anyhow::ensure!(
         !config.fire_door,
-        "fire_door: the scanner would walk through the closed door; `lsfb bench twin --condition fire-door` scans with the door open, and \
-         `lsfb sim preview --fire-door` shows the walk"
+        "fire_door: the scanner would walk through the closed door; `lsfb bench twin --condition \
+         fire-door` scans with the door open, and `lsfb sim preview --fire-door` shows the walk"
     );
     match arguments.clocks {
         Some(Clocks::Ideal) => config.clocks = ClocksConfig::default(),

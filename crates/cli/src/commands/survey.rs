@@ -213,10 +213,10 @@ fn rests(
         ..RestConfig::default()
     };
     let Some(path) = &arguments.recording else {
-        let what = "rests are those of the poses alone: a trajectory that froze rests as well";
+        let what = "rests are found by the poses alone: a trajectory that froze looks like a rest as well";
         findings.push(
             Finding::new("rests", Verdict::Unknown, "trajectory", what)
-                .remedy("name the recording (--recording)"),
+                .remedy("give the recording (--recording)"),
         );
         return Ok(find_rests(poses, &config));
     };
@@ -250,7 +250,7 @@ fn largest(report: &DistanceReport) -> Finding {
     Finding::new("distances", verdict, "map", what)
         .value(report.error_m.max, "m")
         .limit(Limit::AtMost(LARGEST_M))
-        .remedy("measure the worst distance again; if it stands, the map is bent there")
+        .remedy("measure the worst distance again; if it is right, the map is bent there")
 }
 
 fn solution_text(solution: &SurveySolution) -> String {

@@ -115,5 +115,5 @@ pub fn write(
         });
     }
     write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p))
-        .context("cannot write the viewer's file")
+        .context("cannot write the Rerun file")
 }

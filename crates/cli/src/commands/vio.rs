@@ -61,8 +61,9 @@ pub struct Arguments {
 }
 
 /// What the file of covariances says of itself.
-const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of images, of the IMU, and of the cameras as far as the rig file may\n\
-     be wrong; that a feature was followed wrongly all along is not in it.";
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is taken as exact. Included: errors \
+     of images, of the IMU, and of the cameras as far as the rig file may\nbe wrong. Not included: \
+     features tracked wrongly throughout.";
 
 /// A recording made of another program's, for as long as it is read.
 struct Imported(PathBuf);
@@ -85,7 +86,7 @@ impl Imported {
             context.lose_data();
             let count = report.unreadable();
             context.say(&format!(
-                "warning: {}: {count} records cannot be read; `lsfb import` names them",
+                "warning: {}: {count} records cannot be read; `lsfb import` lists them",
                 arguments.walk.display()
             ));
         }
@@ -119,7 +120,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     anyhow::ensure!(
         imported.is_none() || recording.rig().is_ok(),
-        "{}: nothing in it says where the cameras are on the IMU; give the rig with --rig",
+        "{}: the camera poses on the IMU are unknown; give the rig with --rig",
         arguments.walk.display()
     );
     let rig = super::about(
@@ -171,12 +172,12 @@ fn print(
     let judgement = Judgement::new(report.findings());
     context.print(&Judged::new(&judgement, "the motion", report), || {
         let begun = match report.beginning {
-            Beginning::Given => "from states that were given",
+            Beginning::Given => "from given states",
             Beginning::Standing => "at rest",
             Beginning::Moving => "in motion",
         };
         format!(
-            "{}: {} poses, begun {begun}, {:.2} m of path, {} points, reprojection {:.3} px rms\n{}",
+            "{}: {} poses, initialized {begun}, path {:.2} m, {} points, reprojection {:.3} px rms\n{}",
             arguments.out.display(),
             report.poses,
             report.path_length_m,

@@ -61,7 +61,7 @@ impl StampUnit {
     pub(super) fn parse(self, text: &str) -> Result<i64, String> {
         let text = text.trim();
         self.nanos(text)
-            .ok_or_else(|| format!("`{text}` is no stamp in {}", self.sign()))
+            .ok_or_else(|| format!("`{text}` is not a stamp in {}", self.sign()))
     }
 
     fn nanos(self, text: &str) -> Option<i64> {

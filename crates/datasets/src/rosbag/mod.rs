@@ -106,7 +106,7 @@ impl RosBag {
             COMPRESSED_IMAGE => message::compressed_image,
             other => {
                 let problem = format!(
-                    "{topic} has messages {other}, {IMAGE} or {COMPRESSED_IMAGE} are needed; images are on {}",
+                    "{topic} has messages {other}, but {IMAGE} or {COMPRESSED_IMAGE} are needed; images are on {}",
                     self.listed(&[IMAGE, COMPRESSED_IMAGE])
                 );
                 return Err(self.wrong(problem).into());
@@ -158,11 +158,11 @@ impl RosBag {
                 let kinds = self.topics.iter().map(|(t, kind)| format!("{t} ({kind})"));
                 let kinds = kinds.collect::<Vec<_>>().join(", ");
                 Err(self.wrong(format!(
-                    "no topic of scans: {CLOUD}, Velodyne's and Hesai's packets are read; there is {kinds}"
+                    "no topic with scans: {CLOUD}, Velodyne's and Hesai's packets are supported; it has {kinds}"
                 )))
             }
             _ => Err(self.wrong(format!(
-                "several LiDARs: name the topic of one with --lidar-topic: {}",
+                "several LiDARs: choose a topic with --lidar-topic: {}",
                 names()
             ))),
         }
@@ -251,7 +251,7 @@ impl RosBag {
             (None, []) => return Err(self.wrong(format!("no topic with messages {IMU}"))),
             (None, _) => {
                 return Err(self.wrong(format!(
-                    "several IMUs: name the topic of one with --imu: {}",
+                    "several IMUs: choose a topic with --imu: {}",
                     self.listed(&[IMU])
                 )));
             }

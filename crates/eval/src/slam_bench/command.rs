@@ -50,7 +50,7 @@ pub(super) fn filled(word: &str, values: &BTreeMap<&str, String>) -> Result<Stri
         let value = values.get(name).ok_or_else(|| {
             let known: Vec<&str> = values.keys().copied().collect();
             format!(
-                "{{{name}}} is no placeholder; known are {}",
+                "{{{name}}} is not a placeholder; use {}",
                 known.join(", ")
             )
         })?;

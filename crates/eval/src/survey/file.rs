@@ -144,20 +144,20 @@ fn parse(text: &str) -> Result<Survey, Problem> {
                     [x, y, z].map(|value| value.parse::<f64>().ok().filter(|v| v.is_finite()));
                 let [Some(x), Some(y), Some(z)] = place else {
                     return Err(bad(format!(
-                        "point {name} has a coordinate that is no number"
+                        "point {name} has a coordinate that is not a number"
                     )));
                 };
                 let before = survey
                     .points
                     .insert((*name).to_owned(), Vector3::new(x, y, z));
                 if before.is_some() {
-                    return Err(bad(format!("point {name} is there twice")));
+                    return Err(bad(format!("point {name} occurs twice")));
                 }
             }
             _ => {
                 return Err(bad(format!(
-                    "'{}' is no statement; expected horizontal|vertical|distance A B metres [σ], sigma distance|line σ, \
-                     visit A B …, or point A x y z",
+                    "'{}' is not a statement; expected horizontal|vertical|distance A B metres [σ], \
+                     sigma distance|line σ, visit A B …, or point A x y z",
                     line.trim().chars().take(60).collect::<String>()
                 )));
             }
@@ -165,12 +165,12 @@ fn parse(text: &str) -> Result<Survey, Problem> {
     }
     let whole = |what: String| Problem { line: 0, what };
     if survey.tapes.is_empty() {
-        return Err(whole("no distance in it".to_owned()));
+        return Err(whole("it has no distances".to_owned()));
     }
     let marks = survey.marks();
     if marks.len() > MAX_MARKS {
         return Err(whole(format!(
-            "{} marks, at most {MAX_MARKS} are solved",
+            "{} marks, but at most {MAX_MARKS} are supported",
             marks.len()
         )));
     }
@@ -193,7 +193,7 @@ fn positive(text: &str) -> Result<f64, String> {
         .parse()
         .ok()
         .filter(|v: &f64| *v > 0.0 && v.is_finite());
-    value.ok_or_else(|| format!("'{text}' is no length above zero, metres"))
+    value.ok_or_else(|| format!("'{text}' is not a length above zero, in metres"))
 }
 
 #[cfg(test)]

@@ -38,7 +38,7 @@ pub enum ColmapModel {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ColmapError {
     /// A model of which no lens here is.
-    #[error("model {model} is not known")]
+    #[error("model {model} is not supported")]
     Model {
         /// Its name.
         model: String,
@@ -54,7 +54,7 @@ pub enum ColmapError {
         expected: usize,
     },
     /// `FULL_OPENCV` with a denominator.
-    #[error("rational distortion with k4 to k6 is not known")]
+    #[error("rational distortion with k4 to k6 is not supported")]
     Rational,
     /// An image without pixels.
     #[error("an image of {0} × {1} pixels")]

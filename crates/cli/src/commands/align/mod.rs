@@ -89,18 +89,18 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     anyhow::ensure!(
         arguments.offset_secs.is_finite() && (0.0..=3600.0).contains(&arguments.search_secs),
-        "--offset-secs must be a finite number, --search-secs one from 0 to 3600"
+        "--offset-secs must be a finite number, and --search-secs one from 0 to 3600"
     );
     let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
     let Some(input) = inputs.into_iter().flatten().next() else {
-        anyhow::bail!("name a trajectory, or inertial samples with --imu");
+        anyhow::bail!("give a trajectory, or IMU data with --imu");
     };
     if let Some(reference) = &arguments.reference_imu {
         return gyroscopes::run(input, reference, arguments, context);
     }
     let Some(path) = &arguments.reference else {
         anyhow::bail!(
-            "name a trajectory with --reference, or inertial samples with --reference-imu"
+            "give a trajectory with --reference, or IMU data with --reference-imu"
         );
     };
     if let Some(out) = &arguments.out {
@@ -197,15 +197,15 @@ fn pose_text(name: &str, pose: &UncertainPose) -> String {
 fn text(found: &HandEye) -> String {
     let [first, second, third] = found.excitation.turn_rms_deg;
     pose_text(
-        "estimate's body on the reference's",
+        "estimate's body in the reference's body frame",
         &found.reference_from_estimate_body,
     ) + &pose_text(
-        "estimate's world in the reference's",
+        "estimate's world in the reference's world",
         &found.reference_from_estimate_world,
     ) + &format!(
-        "offset of the clocks: {:+.6} s (σ {:.3} ms), drift {:.2} ppm; correlation of angular speeds {:.3}\n\
-             turned by {first:.1}°, {second:.1}°, {third:.1}° rms about its three axes\n\
-             left over: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n",
+        "clock offset: {:+.6} s (σ {:.3} ms), drift {:.2} ppm; correlation of angular rates \
+             {:.3}\nrotated by {first:.1}°, {second:.1}°, {third:.1}° rms about its three \
+             axes\nresidual: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n",
         found.offset_secs,
         1000.0 * found.sigma_offset_secs,
         1e6 * found.drift,

@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .find(|other| crate::files::is_same(other, path));
         anyhow::ensure!(
             same.is_none(),
-            "{}: given twice: a walk that is compared with itself is found exactly",
+            "{}: given twice: comparing a walk with itself finds every place exactly",
             path.display()
         );
         walks.push(read_table(path)?);
@@ -69,12 +69,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
         for reach in &figures.reaches {
             if let Some(errors_m) = &reach.errors_m {
-                text += &format!("\nother walk within {} m: {}", reach.within_m, of(errors_m));
+                text += &format!("\nanother walk within {} m: {}", reach.within_m, of(errors_m));
             }
         }
         if figures.unheard > 0 {
             text += &format!(
-                "\n{} scans share no sender with another walk",
+                "\n{} scans share no transmitter with another walk",
                 figures.unheard
             );
         }

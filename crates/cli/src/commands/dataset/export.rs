@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         places_images || matches!(arguments.layout, Program::Lamar | Program::IndoorLocation);
     anyhow::ensure!(
         !needs_truth || !truth.is_empty(),
-        "{}: no truth, which places the images or waypoints there: choose euroc or images",
+        "{}: there is no truth, which this format needs to place images or waypoints: use euroc or images",
         truth_path.display()
     );
     let around = images.parent().unwrap_or(out);
@@ -182,12 +182,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if exported.without_beacon > 0 {
             let left_out = exported.without_beacon;
             text += &format!(
-                "\n{left_out} Bluetooth advertisements are of no iBeacon and were left out"
+                "\n{left_out} Bluetooth advertisements are not from iBeacons and were left out"
             );
         }
         for camera in &exported.without_lens {
             text += &format!(
-                "\n{camera} has no sensor.yaml, which knows no such lens: rig.toml has it"
+                "\n{camera} has no sensor.yaml, which cannot hold its lens model: see rig.toml"
             );
         }
         text
@@ -265,7 +265,7 @@ fn placed(
     }
     let files = export_image_poses(format, &rig, &cameras, &poses)?;
     Ok((
-        files.context("the format holds no poses of images")?,
+        files.context("the format cannot hold image poses")?,
         without,
     ))
 }

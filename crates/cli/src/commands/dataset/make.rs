@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let known = |name: &String| all.iter().any(|s| s.name == *name);
     if let Some(name) = arguments.sequences.iter().find(|name| !known(name)) {
         anyhow::bail!(
-            "{name:?} is no sequence: `lsfb dataset plan` lists motions, C3-android is one with its device"
+            "{name:?} is not a sequence: `lsfb dataset plan` lists motions; add the device, as in C3-android"
         );
     }
     let is_wanted =
@@ -166,7 +166,7 @@ fn take_folders(out: &Path, settings: &Settings, context: &Context) -> anyhow::R
     let is_empty = std::fs::read_dir(out).map_or(true, |mut entries| entries.next().is_none());
     anyhow::ensure!(
         is_empty || before.as_ref() == Some(settings) || context.force(),
-        "{}: has files that are not of this dataset, or of other settings: choose another --out, or use it with --force",
+        "{}: has files that are not of this dataset, or were made with other settings: choose another --out, or use --force",
         out.display()
     );
     if !is_empty && before.as_ref() != Some(settings) {

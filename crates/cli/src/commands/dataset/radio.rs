@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     anyhow::ensure!(
         known.len() >= 2,
-        "{}: {} known places: give a trajectory with --trajectory",
+        "{}: {} known positions: give a trajectory with --trajectory",
         arguments.recording.display(),
         known.len()
     );
@@ -88,13 +88,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let usual_m_s = median(speeds.collect()).unwrap_or(0.0);
     anyhow::ensure!(
         usual_m_s < FASTEST_M_S,
-        "{}: {usual_m_s:.0} m/s from one known place to the next: are places in metres, and times on the recording's clock?",
+        "{}: {usual_m_s:.0} m/s between known positions: are positions in metres, and times on the recording's clock?",
         arguments.recording.display()
     );
     let placed = place(&recording, &known, &config)?;
     anyhow::ensure!(
         !placed.readings.is_empty(),
-        "{}: no reading has a place: {} outside of the known places in time, {} in their gaps; check that both have one clock",
+        "{}: no reading could be placed: {} outside the time of the known positions, {} in gaps; check that both use one clock",
         arguments.recording.display(),
         placed.outside,
         placed.in_gaps
@@ -141,7 +141,7 @@ fn of_trajectory(path: &Path, context: &Context) -> anyhow::Result<Vec<KnownPlac
 
 fn text(found: &Found<'_>, readings: &[PlacedReading]) -> String {
     let mut text = format!(
-        "{}: {} readings of Wi-Fi, {} of Bluetooth, {} of the magnetic field at their places",
+        "{}: placed {} Wi-Fi, {} Bluetooth and {} magnetic readings",
         found.table.display(),
         found.wifi,
         found.ble,
@@ -153,7 +153,7 @@ fn text(found: &Found<'_>, readings: &[PlacedReading]) -> String {
     }
     if found.outside + found.in_gaps > 0 {
         text += &format!(
-            "\n{} readings have no place: {} before or after the known places, {} in their gaps",
+            "\n{} readings could not be placed: {} before or after the known positions, {} in gaps",
             found.outside + found.in_gaps,
             found.outside,
             found.in_gaps

@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let (folder, description) = super::open(&arguments.dataset)?;
     anyhow::ensure!(
         folder.truth().is_dir(),
-        "{}: there is no truth, whose hash belongs in dataset.toml: put it there, and hold it back afterwards",
+        "{}: there is no truth, but dataset.toml needs its hash: put it there, and hold it back afterwards",
         folder.truth().display()
     );
     context.will_write(&arguments.dataset);

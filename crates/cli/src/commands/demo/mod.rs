@@ -339,11 +339,10 @@ fn text(s: &Summary) -> String {
         .map(|p| format!(", {}", p.display()))
         .unwrap_or_default();
     format!(
-        "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % localized\n\
-         scanner  ATE {:.2} cm rms, {:.2} cm max\n\
-         map      {} points, reprojection {:.3} px rms\n\
-         run      {:.0} s, {:.0} MB at most, {} messages lost, {} parts of the walk left out\n\
-         look at  {}{viewer}",
+        "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % \
+         localized\nscanner  ATE {:.2} cm rms, {:.2} cm max\nmap      {} points, reprojection {:.3} \
+         px rms\nrun      {:.0} s, {:.0} MB at most, {} messages lost, {} parts of the walk left \
+         out\nopen     {}{viewer}",
         s.ate_glasses_rms_m * 100.0,
         s.ate_glasses_max_m * 100.0,
         s.ate_glasses_in_map_rms_m * 100.0,

@@ -159,7 +159,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     if let Some(before) = unfinished.as_ref().map(Unfinished::len).filter(|n| *n > 0) {
         context.note(&format!(
-            "going on behind {before} images that were localized before"
+            "resuming after {before} localized images"
         ));
     }
     let stages = match (&arguments.out, arguments.explain) {
@@ -173,7 +173,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = input.localize(&localizer, &detector, kept, context)?;
     anyhow::ensure!(
         !found.frames.is_empty(),
-        "there is no image to be localized"
+        "there are no images to localize"
     );
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
         // Of a folder of images it is the only one by now.
@@ -280,13 +280,13 @@ fn text(s: &Summary) -> String {
     );
     if s.by_little > 0 {
         text += &format!(
-            "\n{} of these rest on so little that a place outside the map which looks the same could have all of it: make sure that the map has the place",
+            "\n{} of these have so little evidence that a similar place outside the map could explain it: make sure that the map contains the place",
             s.by_little
         );
     }
     if !s.map_failures.is_empty() {
         text +=
-            "\nThe map failed when it was made, so that places in it may be far from the truth:";
+            "\nThe map failed its checks when it was made, so that poses in it may be far from the truth:";
     }
     for failure in &s.map_failures {
         text += &format!("\n  {failure}");

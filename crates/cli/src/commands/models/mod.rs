@@ -189,11 +189,11 @@ impl Added {
                     .is_none() =>
             {
                 format!(
-                    "not known by their hash; the licence of the authors' own: {}; {}",
+                    "unknown hash; the licence of the original: {}; {}",
                     self.licence, self.origin
                 )
             }
-            false => "not the published ones: their licence is unknown".to_owned(),
+            false => "not the published ones; their licence is unknown".to_owned(),
         };
         format!(
             "{}: weights of {} ({whose}), {}; use them with --feature {}",
@@ -214,14 +214,14 @@ struct AddedAll {
 }
 
 fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
-    crate::files::expect_file(&arguments.file, "name a file of weights")?;
+    crate::files::expect_file(&arguments.file, "give a weights file")?;
     let trust = match arguments.force_unknown {
         true => Trust::Any,
         false => Trust::Published,
     };
     let read = Network::read_all(&arguments.file, trust).map_err(|error| match error {
         lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error).context(
-            "weights that are not the published ones are added with --force-unknown alone",
+            "add weights that are not the published ones with --force-unknown",
         ),
         other => other.into(),
     })?;
@@ -251,7 +251,7 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
         let mut lines: Vec<String> = all.added.iter().map(Added::sentence).collect();
         if all.left_out > 0 {
             lines.push(format!(
-                "left out: {} further sets of weights in the file, of no network that is known, or not published",
+                "left out: {} more sets of weights in the file, of unsupported networks, or not published",
                 all.left_out
             ));
         }
@@ -296,7 +296,7 @@ impl Checked {
         let model = network.model();
         let expected = file_name(model.name(), network.weights_sha256());
         if file.file_name() != Some(expected.as_ref()) {
-            let problem = format!("holds the weights that belong to {expected}: add them again");
+            let problem = format!("contains the weights that belong to {expected}: add them again");
             return Self::unread(file, problem);
         }
         let found = agreement(&network);
@@ -340,13 +340,13 @@ impl Checked {
             .fold(0.0, f32::max);
         match self.agrees {
             Some(true) => format!(
-                "PASS {file}: as another program computes it of the published weights, to {largest:.0e}, at {} image sizes",
+                "PASS {file}: agrees with another program's output of the published weights to {largest:.0e}, at {} image sizes",
                 self.sizes.len()
             ),
             Some(false) => format!(
-                "FAIL {file}: differs by {largest:.0e} from what another program computes: do not use it, and report this"
+                "FAIL {file}: differs by {largest:.0e} from another program's output: do not use it, and report this"
             ),
-            None => format!("{file}: not published weights, or nothing to compare them with"),
+            None => format!("{file}: not the published weights, or no reference output"),
         }
     }
 }

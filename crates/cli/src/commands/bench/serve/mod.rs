@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     )?;
     if site.is_empty() {
         anyhow::bail!(
-            "{}: no sequence has its truth: it is in the folder truth, which was held back",
+            "{}: no sequence has its truth: the folder truth was held back",
             arguments.dataset.display()
         );
     }
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     );
     context.say(&format!("leaderboard: http://{}/", listener.address()));
     if !listener.address().ip().is_loopback() {
-        context.say("warning: whoever reaches this machine may upload");
+        context.say("warning: anyone who can reach this machine can upload");
     }
     // An end that was asked for is the end, and no error.
     while context.check_stop().is_ok() {

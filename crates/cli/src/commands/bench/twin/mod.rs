@@ -148,7 +148,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         for condition in &arguments.conditions {
             if !condition.is_possible_in(*place) {
                 context.note(&format!(
-                    "{}: has no door that could be closed, and so no {} walks",
+                    "{}: it has no door that could be closed, and so no {} walks",
                     place.name(),
                     condition.name()
                 ));
@@ -242,11 +242,11 @@ fn take_folder(out: &Path, context: &Context) -> anyhow::Result<()> {
     let is_empty = std::fs::read_dir(out).map_or(true, |mut entries| entries.next().is_none());
     anyhow::ensure!(
         is_empty || mark.exists() || context.force(),
-        "{}: has files that are not of a trial: choose another --out, or use it with --force",
+        "{}: has files that do not belong to a trial: choose another --out, or use --force",
         out.display()
     );
     std::fs::create_dir_all(out)?;
-    crate::files::write(&mark, "Made by `lsfb bench twin`, which continues here.\n")
+    crate::files::write(&mark, "Made by `lsfb bench twin`, which resumes here.\n")
 }
 
 fn or_all<T: Copy>(chosen: &[T], all: &[T]) -> Vec<T> {
@@ -260,7 +260,7 @@ fn or_all<T: Copy>(chosen: &[T], all: &[T]) -> Vec<T> {
 fn finish(out: &Path, runs: &[Run], context: &Context) -> anyhow::Result<Outcome> {
     let judgement = result::judge(runs);
     let page = out.join(PAGE);
-    let title = "The standard trial in the twin";
+    let title = "Standard trial in simulated places";
     crate::files::write(&page, page::html(runs, &judgement, title))?;
     let printed = Printed { runs, page: &page };
     let judged = Judged::new(&judgement, &format!("{} runs", runs.len()), &printed);
