@@ -54,7 +54,9 @@ pub(crate) fn outliers(camera: &str, outliers: usize, corners: usize) -> Finding
     Finding::new("outliers", verdict, camera, what)
         .value(percent, "%")
         .limit(limit)
-        .remedy("check that the board is flat, hold it still, and use enough light for short exposures")
+        .remedy(
+            "check that the board is flat, hold it still, and use enough light for short exposures",
+        )
 }
 
 /// How views that were held back from the adjustment are met.

@@ -86,7 +86,7 @@ mod tests {
         let batches: Vec<i64> = (0..100).map(|k| 20 * (k / 4)).collect();
         let repeated = problem(&batches).expect("noticed");
         assert!(
-            repeated.starts_with("repeat the one before 75 times of 100"),
+            repeated.starts_with("repeat the previous one 75 times of 100"),
             "{repeated}"
         );
         let mut once: Vec<i64> = (0..100).collect();

@@ -118,10 +118,7 @@ impl WifiScans {
             words += &format!(", one every {secs:.1} s at the slowest");
         }
         if self.handed_out_again > 0 {
-            words += &format!(
-                "; {} of them repeat old results",
-                self.handed_out_again
-            );
+            words += &format!("; {} of them repeat old results", self.handed_out_again);
         }
         if self.were_held_back() {
             words += ": the phone's system throttles scans";

@@ -269,7 +269,9 @@ pub enum Error {
         most_m: f64,
     },
     /// Images give no map, or one in which nobody would be found.
-    #[error("{points} map points are seen in three or more images, but {needed} are needed: {reason}")]
+    #[error(
+        "{points} map points are seen in three or more images, but {needed} are needed: {reason}"
+    )]
     TooFewPoints {
         /// Points there are.
         points: usize,

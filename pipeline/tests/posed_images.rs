@@ -359,7 +359,7 @@ fn broken_lists_are_named() {
     };
     let turned = r#""transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"#;
     for (text, expected) in [
-        ("{".to_owned(), "no JSON"),
+        ("{".to_owned(), "not a JSON"),
         ("{}".to_owned(), "frames"),
         (r#"{"frames": []}"#.to_owned(), "none of its 0 images"),
         (

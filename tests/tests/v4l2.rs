@@ -322,14 +322,14 @@ fn what_the_unit_does_not_have_is_refused() {
                 serial: "OTHER".to_owned(),
                 ..config.clone()
             },
-            "unit 07C41A19 is here where OTHER is configured",
+            "found unit 07C41A19, but OTHER is configured",
         ),
         (
             CameraConfig {
                 options: vec![(CameraOption::ImuFrequency, 9000)],
                 ..config.clone()
             },
-            "refuses query 0x01 of selector 1",
+            "rejected query 0x01 of selector 1",
         ),
     ] {
         let error = open(change);

@@ -582,7 +582,7 @@ fn cameras_exchanged_half_way_are_refused() {
         .expect_err("exchanged")
         .to_string();
     assert!(
-        error.contains("their images are exchanged at 12 of 30 instants, from 18 to 29"),
+        error.contains("their images are swapped at 12 of 30 instants, from 18 to 29"),
         "{error}"
     );
 }

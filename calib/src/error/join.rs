@@ -23,9 +23,7 @@ pub enum JoinProblem {
     #[error("no transform was given")]
     NoTransform,
     /// One measurement is there twice.
-    #[error(
-        "the same transform is given twice and would count as two measurements: leave one out"
-    )]
+    #[error("the same transform is given twice and would count as two measurements: leave one out")]
     GivenTwice,
 
     /// Two cameras see the board together too seldom.
@@ -203,7 +201,9 @@ pub enum JoinProblem {
         images: usize,
     },
     /// No cloud has the number of an image.
-    #[error("{images} images with the board and {clouds} clouds, but no image has the number of a cloud")]
+    #[error(
+        "{images} images with the board and {clouds} clouds, but no image has the number of a cloud"
+    )]
     NoSameNumber {
         /// Images with the board.
         images: usize,

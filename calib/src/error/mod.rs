@@ -122,9 +122,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Two cameras were given the same images.
-    #[error(
-        "{first} and {second} show the same images: both were given the same folder or topic"
-    )]
+    #[error("{first} and {second} show the same images: both were given the same folder or topic")]
     SameImages {
         /// A camera.
         first: String,

@@ -53,9 +53,7 @@ pub enum TargetProblem {
         rows: u32,
     },
     /// A number of squares that is none of a ChArUco board.
-    #[error(
-        "{columns} × {rows} squares: expected at least 3 × 3 and at most {most} white ones"
-    )]
+    #[error("{columns} × {rows} squares: expected at least 3 × 3 and at most {most} white ones")]
     Squares {
         /// Along x.
         columns: u32,
@@ -119,9 +117,7 @@ pub enum SeenInstead {
         images: usize,
     },
     /// Tags of another board.
-    #[error(
-        "{images} show other tags: of another family than 36h11, or not numbered from 0"
-    )]
+    #[error("{images} show other tags: of another family than 36h11, or not numbered from 0")]
     OtherTags {
         /// Images that show them.
         images: usize,

@@ -117,8 +117,11 @@ pub fn import_colmap(
                 )));
             }
             (Some(q), Some(t)) => {
-                let q = quaternion(q)
-                    .ok_or_else(|| fail(format!("{name}: the norm of cam_from_rig_rotation is not 1")))?;
+                let q = quaternion(q).ok_or_else(|| {
+                    fail(format!(
+                        "{name}: the norm of cam_from_rig_rotation is not 1"
+                    ))
+                })?;
                 Se3::new(q, Vector3::from(t)).inverse()
             }
             _ => return Err(fail(format!("{name}: it has no cam_from_rig"))),

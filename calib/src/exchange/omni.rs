@@ -180,7 +180,7 @@ mod tests {
             distortion: [0.9, -0.9, 0.1, 0.1],
             ..omni
         };
-        let error = strange.to_lens(640, 480).expect_err("none of ours");
-        assert!(error.contains("misses it by up to"), "{error}");
+        let error = strange.to_lens(640, 480).expect_err("no supported model");
+        assert!(error.contains("has an error of"), "{error}");
     }
 }

@@ -91,8 +91,7 @@ fn repeated(log: &Log) -> Finding {
         s if s > warn => Verdict::Warn,
         _ => Verdict::Pass,
     };
-    let what =
-        format!("{repeated} of {samples} samples repeat the previous one in all six axes");
+    let what = format!("{repeated} of {samples} samples repeat the previous one in all six axes");
     Finding::new("repeated", verdict, "samples", what)
         .value(100.0 * share, "%")
         .limit(Limit::AtMost(100.0 * warn))
@@ -113,7 +112,10 @@ fn dead_and_copied(log: &Log) -> Vec<Finding> {
     for axis in 0..NAMES.len() {
         if is_dead(&axis) {
             let value = log.axes[axis].first().copied().unwrap_or_default();
-            found.push(fail(axis, format!("constant value {value} in every sample")));
+            found.push(fail(
+                axis,
+                format!("constant value {value} in every sample"),
+            ));
             continue;
         }
         let triad = axis / 3 * 3;

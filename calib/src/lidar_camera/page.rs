@@ -96,7 +96,10 @@ impl LidarCameraCalibration {
         let largest_m = largest.fold(0.0, |a: f64, b| a.max(b.abs()));
         let mut rows = vec![
             ("range noise, mm", mm(self.range_noise_m)),
-            ("noise common to a beam on one board, mm", mm(self.beam_noise_m)),
+            (
+                "noise common to a beam on one board, mm",
+                mm(self.beam_noise_m),
+            ),
             ("largest beam offset, mm", mm(largest_m)),
             (
                 "excess half width, mm",

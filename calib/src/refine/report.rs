@@ -244,7 +244,8 @@ impl Refinement {
     fn lens(&self, evidence: &Evidence) -> Finding {
         let turn_deg = evidence.image_turn_rad.to_degrees();
         let limit = Limit::AtMost(WORRYING_TURN_DEG);
-        let what = format!("each image is rotated by {turn_deg:.3}° relative to the LiDAR's trajectory");
+        let what =
+            format!("each image is rotated by {turn_deg:.3}° relative to the LiDAR's trajectory");
         let verdict = Verdict::Warn.unless(limit.holds(turn_deg));
         Finding::new("images", verdict, &*self.camera, what)
             .value(turn_deg, "°")

@@ -52,7 +52,9 @@ impl Sums {
             clear(*a).total_cmp(&clear(*b))
         });
         let Some(clearest) = clearest else {
-            return Some(finding(format!("{fits}; the images do not determine which")));
+            return Some(finding(format!(
+                "{fits}; the images do not determine which"
+            )));
         };
         let value = lens.values[clearest] + step[clearest];
         let what = format!(

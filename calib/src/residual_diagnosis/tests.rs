@@ -165,7 +165,7 @@ fn noise_alone_is_blamed_on_nothing() {
     let flat = |k: usize| grid(0.3).corner(k);
     let text = said(views(flat, LENS, 0.0));
     assert!(
-        text.contains("alike in all parts") && text.contains("likely causes are"),
+        text.contains("equally large in all parts") && text.contains("likely causes are"),
         "{text}"
     );
     let (target, camera) = (grid(0.3), camera(LENS));

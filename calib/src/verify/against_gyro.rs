@@ -46,9 +46,9 @@ pub(super) fn against_gyro(
                 Inconclusive::TooFewPairs(n) => format!(
                     "{n} image pairs follow the gyroscope, but 30 are needed: record longer, with more to see"
                 ),
-                Inconclusive::TooLittleTurning(rate) => format!(
-                    "rotation about a second axis is only {rate:.3} rad/s: rotate more"
-                ),
+                Inconclusive::TooLittleTurning(rate) => {
+                    format!("rotation about a second axis is only {rate:.3} rad/s: rotate more")
+                }
                 Inconclusive::EndOfSearch(offset_s) => {
                     time.outcome = Verdict::Fail;
                     format!(

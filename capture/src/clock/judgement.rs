@@ -126,5 +126,7 @@ fn recorded(clock: &DeviceClock) -> Finding {
     Finding::new("recorded-stamps", verdict, &*clock.device, found)
         .value(scatter_ms, "ms")
         .limit(limit)
-        .remedy("look at the plot where they differ: lock gained or lost, a wrong second, a restart")
+        .remedy(
+            "look at the plot where they differ: lock gained or lost, a wrong second, a restart",
+        )
 }

@@ -103,7 +103,11 @@ impl Findings {
             is_well = false;
         }
         for (count, what, remedy) in [
-            (seen.black, "black", "remove the lens cap, or increase the exposure"),
+            (
+                seen.black,
+                "black",
+                "remove the lens cap, or increase the exposure",
+            ),
             (seen.white, "white", "reduce the exposure"),
         ] {
             if 2 * count > seen.images {
@@ -192,7 +196,10 @@ mod tests {
         let good = of_pixels(|n| n * 7);
         assert!(good.starts_with("PASS"), "{good}");
         let frozen = found(|n, time| grey(n.min(30), time, |n| n * 7), |n| 50 * n);
-        assert!(frozen.contains("FAIL: 1 times the same image"), "{frozen}");
+        assert!(
+            frozen.contains("FAIL: 1 stretches of the same image"),
+            "{frozen}"
+        );
         let capped = of_pixels(|n| n * 7 % 3);
         assert!(capped.contains("WARN: 80 of them are black"), "{capped}");
         let white = of_pixels(|n| 255 - i64::from(n % 7 == 0));

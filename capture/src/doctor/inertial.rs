@@ -29,7 +29,8 @@ const TURNING_RAD_S: f64 = 0.1;
 /// … but for this share of them, which a driver may have sent twice; from the other on the IMU measures at less than half of the rate it claims.
 const REPEATED: [f64; 2] = [0.05, 0.5];
 /// What to do where arrivals go back.
-pub(super) const SET_BEFORE: &str = "synchronise this machine's clock with chrony or NTP before recording";
+pub(super) const SET_BEFORE: &str =
+    "synchronise this machine's clock with chrony or NTP before recording";
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// What an IMU measured.
@@ -117,14 +118,14 @@ impl Measured {
             problems.push((found, FORMAT));
         }
         if self.not_finite > 0 {
-            let found = format!("{} samples have values that are not numbers", self.not_finite);
+            let found = format!(
+                "{} samples have values that are not numbers",
+                self.not_finite
+            );
             problems.push((found, FORMAT));
         }
         if let Some(found) = self.stamps.problem() {
-            problems.push((
-                format!("stamps {found}"),
-                "run `lsfb clock` for details",
-            ));
+            problems.push((format!("stamps {found}"), "run `lsfb clock` for details"));
         }
         if self.samples < LEAST_SAMPLES {
             return problems;
@@ -309,12 +310,15 @@ mod tests {
             "{good:?}"
         );
         fails(|_| [[0.0; 3]; 2], "the same sample");
-        fails(|_| [[0.0; 3]; 2], "forces of 0.00 m/s²");
+        fails(|_| [[0.0; 3]; 2], "specific force is 0.00 m/s²");
         let scaled = |n, rate: f64, force: f64| {
             let [rates, forces] = walk(n);
             [rates.map(|v| v * rate), forces.map(|v| v * force)]
         };
-        fails(|n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2), "they are in g");
+        fails(
+            |n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2),
+            "it is in units of g",
+        );
         fails(|n| scaled(n, 57.3, 1.0), "in degrees");
         // Most of the time it stood on a table.
         fails(
@@ -327,7 +331,7 @@ mod tests {
                 let [rates, [x, y, z]] = walk(n);
                 [rates, [x, y, z - 9.81]]
             },
-            "gravity was not taken off",
+            "gravity was not subtracted",
         );
         fails(
             |n| {
@@ -345,13 +349,13 @@ mod tests {
         );
         fails(
             |n| [[0.0; 3], walk(n)[1]],
-            "its gyroscope says (0, 0, 0) all along",
+            "the gyroscope reads (0, 0, 0) throughout",
         );
         fails(
             |n| [walk(n)[0], [0.0, 0.0, 9.81]],
-            "its accelerometer says (0, 0, 9.81) all along",
+            "the accelerometer reads (0, 0, 9.81) throughout",
         );
-        fails(|n| walk(n / 10 * 10), "90 % of the samples in turns");
+        fails(|n| walk(n / 10 * 10), "90 % of the samples during rotation");
         fails(
             |n| [walk(n / 10 * 10)[0], walk(n)[1]],
             "reading of its gyroscope before once more",

@@ -17,8 +17,7 @@ impl Findings {
             );
             let finding =
                 Finding::new("pace", Verdict::Fail, "pace", found).value(pace.factor(), "");
-            let remedy =
-                "check the program that wrote them; run `lsfb clock` for details";
+            let remedy = "check the program that wrote them; run `lsfb clock` for details";
             return self.add(finding.remedy(remedy));
         }
         if let Some(pace) = unreal_pace(streams) {

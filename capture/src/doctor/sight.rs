@@ -85,9 +85,10 @@ impl Findings {
         if *scans > 0 && seen.returns == 0 {
             let found = format!("no returns {of}");
             let finding = Finding::new("lasers", Verdict::Fail, &*subject, found);
-            return self.add(
-                finding.remedy("remove the cap from its window; if that does not help, it is broken"),
-            );
+            return self
+                .add(finding.remedy(
+                    "remove the cap from its window; if that does not help, it is broken",
+                ));
         }
         self.add(match (sight.worst(), sight.seeing()) {
             (Some(silent), _) => {
@@ -116,11 +117,7 @@ impl Findings {
         });
         if let Some(blocked) = sight.ever_blocked() {
             let finding = Finding::new("sector", Verdict::Warn, &*subject, blocked.words());
-            self.add(
-                finding.remedy(
-                    "clear its view, or restrict its field of view",
-                ),
-            );
+            self.add(finding.remedy("clear its view, or restrict its field of view"));
         } else if !sight.is_turn_judged() {
             let found = format!(
                 "cannot check whether part of its turn is covered: too few shots {of}, or its packets were not recorded"
@@ -225,7 +222,7 @@ mod tests {
         assert!(said.starts_with("31 of its 32 lasers"), "{said}");
         assert_eq!(verdict(2, 1.0, |ring| ring != 7).0, Verdict::Warn);
         let (none, said) = verdict(2, 1.0, |_| false);
-        assert!(none == Verdict::Fail && said.contains("not a single return"));
+        assert!(none == Verdict::Fail && said.contains("no returns"));
         assert_eq!(verdict(2, 1.0, |_| true).0, Verdict::Pass);
         let (part, said) = verdict(2, 0.3, |ring| ring == 7);
         assert!(part == Verdict::Unknown && said.contains("in 2 scans"));

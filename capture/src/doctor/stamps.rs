@@ -48,7 +48,8 @@ impl Findings {
                 .value(usual_secs.abs(), "s")
                 .limit(Limit::AtMost(limit_secs));
             self.add(
-                finding.remedy("synchronise this machine's clock with chrony or NTP before recording"),
+                finding
+                    .remedy("synchronise this machine's clock with chrony or NTP before recording"),
             );
         } else if all_agree {
             let found = "the sensors' stamps agree with this machine's clock";

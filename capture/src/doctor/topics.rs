@@ -141,9 +141,8 @@ impl Findings {
         let said = format!("{count} messages, {rate_hz:.1} Hz");
         self.add(if !(rate_hz <= most) {
             let found = format!("{said}: too fast for such a sensor; several may share the topic");
-            finding(Verdict::Fail, Limit::AtMost(most), found).remedy(
-                "check who sends to its port: each device needs its own port or address",
-            )
+            finding(Verdict::Fail, Limit::AtMost(most), found)
+                .remedy("check who sends to its port: each device needs its own port or address")
         } else if let Some(nominal_hz) = stream.nominal_hz
             && rate_hz < config.warn_rate_share * nominal_hz
         {

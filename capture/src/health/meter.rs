@@ -160,9 +160,10 @@ impl Meter {
                 ));
             }
             if slowdowns > 0 {
-                report
-                    .notes
-                    .push(format!("{slowdowns} stretches with far too few {}", part.name()));
+                report.notes.push(format!(
+                    "{slowdowns} stretches with far too few {}",
+                    part.name()
+                ));
             }
         }
         state.take_counts(report);
@@ -309,7 +310,10 @@ impl MeterState {
     /// The worst that can be said.
     fn judge(&self, silence: Duration, lost: u64, now: Instant) -> (Level, String) {
         if !self.connected {
-            return (Level::Error, "disconnected: check its cable and power".to_owned());
+            return (
+                Level::Error,
+                "disconnected: check its cable and power".to_owned(),
+            );
         }
         if let Some(gone) = &self.gone {
             return (Level::Error, gone.clone());

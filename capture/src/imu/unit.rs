@@ -219,7 +219,10 @@ impl ImuDecoder {
                     bad: counters.bad_reports,
                     missing: counters.missing,
                     duplicated: counters.duplicated,
-                    remarks: vec![(counters.unpaired, "gyroscope readings without an accelerometer reading")],
+                    remarks: vec![(
+                        counters.unpaired,
+                        "gyroscope readings without an accelerometer reading",
+                    )],
                 }
             }
         }

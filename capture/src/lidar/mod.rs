@@ -52,9 +52,9 @@ const MOST_COPIES: u64 = 9;
 /// Problems of a sensor that sends, and nothing to see.
 const NO_SCAN: &str = "no complete scan: is its rotor turning?";
 const NO_RETURN: &str = "no returns: is its window covered?";
-const ANOTHER_SPEED: &str =
-    "it rotates at another speed than configured: check its web page";
-const POOR_SIGHT: &str = "most of its lasers have no returns: are they dead, or is its window covered?";
+const ANOTHER_SPEED: &str = "it rotates at another speed than configured: check its web page";
+const POOR_SIGHT: &str =
+    "most of its lasers have no returns: are they dead, or is its window covered?";
 const TWO_SENSORS: &str =
     "two sensors send from one address and are mixed into one cloud: give each its own address";
 
@@ -527,7 +527,8 @@ impl LidarStream {
         }
         if self.report.decoded > 0 && !self.clock.is_locked() {
             self.report.notes.push(
-                "the sensor's clock is not locked to PPS: its time is estimated from arrivals".to_owned(),
+                "the sensor's clock is not locked to PPS: its time is estimated from arrivals"
+                    .to_owned(),
             );
         }
         self.report

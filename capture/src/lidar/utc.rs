@@ -6,8 +6,7 @@ use lsfb_types::Timestamp;
 /// A sentence that is lost on the line, or damaged, is one second.
 const PATIENCE_NS: i64 = 3_000_000_000;
 const NO_FIX: &str = "UTC is not backed by GNSS because its receiver has no fix: PPS is only as good as the receiver's own clock";
-const NEVER_A_FIX: &str =
-    "UTC is not backed by GNSS because its receiver has no fix: its time is estimated from arrivals";
+const NEVER_A_FIX: &str = "UTC is not backed by GNSS because its receiver has no fix: its time is estimated from arrivals";
 const NEVER_A_PULSE: &str =
     "UTC is not backed by GNSS (no PPS, no fix): its time is estimated from arrivals";
 

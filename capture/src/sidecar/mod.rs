@@ -167,9 +167,9 @@ impl Recording {
                 report.missing = (report.missing + missing).saturating_sub(missing_before);
                 report.bad += bad;
                 if bad > 0 {
-                    report.first_bad.get_or_insert_with(|| {
-                        format!("{device}: a reading without values")
-                    });
+                    report
+                        .first_bad
+                        .get_or_insert_with(|| format!("{device}: a reading without values"));
                 }
                 meter.count(report);
             }

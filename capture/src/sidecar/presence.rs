@@ -68,7 +68,9 @@ impl Presence {
     pub(super) fn lost(&self) -> Option<String> {
         let (device, since, why) = self.gone().next()?;
         let secs = since.elapsed().as_secs();
-        Some(format!("{device} has been disconnected for {secs} s: {why}"))
+        Some(format!(
+            "{device} has been disconnected for {secs} s: {why}"
+        ))
     }
 
     fn gone(&self) -> impl Iterator<Item = (&String, &Instant, &String)> {
@@ -99,7 +101,7 @@ mod tests {
         assert!(presence.is_all_gone());
         assert_eq!(
             presence.sentence().as_deref(),
-            Some("PHONE GONE: phone, 0 s ago")
+            Some("PHONE DISCONNECTED: phone, 0 s ago")
         );
         assert!(!presence.gave_up(Duration::from_secs(60)) && presence.gave_up(Duration::ZERO));
         assert!(presence.lost().unwrap().contains("phone"));

@@ -61,9 +61,7 @@ impl Topics {
             ));
         }
         if is_recorders_own(topic) {
-            return Err(format!(
-                "{topic}: this topic is reserved for the recorder"
-            ));
+            return Err(format!("{topic}: this topic is reserved for the recorder"));
         }
         if encoding != ENCODING {
             return Err(format!(

@@ -93,10 +93,7 @@ impl Context {
         let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;
         let stages = KeptStages::in_folder(&result.with_file_name(name), &made_from)?;
         if stages.has_any() {
-            self.note(&format!(
-                "{}: resuming where it stopped",
-                result.display()
-            ));
+            self.note(&format!("{}: resuming where it stopped", result.display()));
         }
         Ok(stages)
     }

@@ -57,7 +57,7 @@ mod tests {
                 .join(".")
                 .join(path.file_name().expect("name"));
             let refusal = expect_free(path, &[&other_name], true).expect_err("read");
-            assert!(refusal.to_string().contains("what is read"), "{refusal}");
+            assert!(refusal.to_string().contains("an input file"), "{refusal}");
         }
     }
 }

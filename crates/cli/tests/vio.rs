@@ -272,9 +272,7 @@ fn stopped_it_goes_on_to_the_same(at: &Path) {
     let again = lsfb(at, &arguments);
     let said = String::from_utf8_lossy(&again.stderr);
     assert_eq!(again.status.code(), Some(3), "{said}");
-    assert!(
-        said.contains("again.tum: goes on where it was stopped") && !said.contains("following")
-    );
+    assert!(said.contains("again.tum: resuming where it stopped") && !said.contains("following"));
     assert!(!kept.exists());
     for name in [".tum", "_covariance.txt"] {
         let read = |of: &str| fs::read(at.join(format!("{of}{name}"))).expect("a result");

@@ -87,9 +87,7 @@ pub enum Error {
         second: usize,
     },
     /// A block starts at NaN or infinity.
-    #[error(
-        "block {block} starts at a value that is not finite: check its initial value"
-    )]
+    #[error("block {block} starts at a value that is not finite: check its initial value")]
     BlockNotFinite {
         /// Index of the block.
         block: usize,

@@ -165,7 +165,7 @@ mod tests {
         assert!(folder.contains("neither a capture node nor"), "{folder}");
         let node = open(Path::new("/dev/null"));
         let expected = if cfg!(feature = "hardware") {
-            "no V4L2 capture node"
+            "not a V4L2 capture node"
         } else {
             "--features hardware"
         };

@@ -63,7 +63,10 @@ impl DescriptorIndex {
     /// From the files in the order of [`TABLES`].
     pub(crate) fn from_tables(tables: &[Table]) -> Result<Self, Error> {
         let [lists, entries, codebook] = tables else {
-            return Err(broken(Path::new(TABLES[0]), "an index must have three files"));
+            return Err(broken(
+                Path::new(TABLES[0]),
+                "an index must have three files",
+            ));
         };
         let [centroids, first_entry] = lists.columns(LISTS)?;
         let [entry, codes, offsets] = entries.columns(ENTRIES)?;
@@ -83,7 +86,10 @@ impl DescriptorIndex {
             return Err(broken(&entries.path, &reason));
         }
         if columns.words.len() != DESCRIPTOR_LEN * WORDS {
-            return Err(broken(&codebook.path, "expected 256 words of 128 dimensions"));
+            return Err(broken(
+                &codebook.path,
+                "expected 256 words of 128 dimensions",
+            ));
         }
         let count = columns.entries.len();
         if columns.entries.iter().any(|e| *e as usize >= count) {

@@ -305,9 +305,7 @@ impl Together {
         found(Verdict::Warn.unless(limit.holds(*moved_sigmas)), what)
             .value(*moved_sigmas, "σ")
             .limit(limit)
-            .remedy(
-                "the walks contradict each other: solve each alone, and look at its findings",
-            )
+            .remedy("the walks contradict each other: solve each alone, and look at its findings")
     }
 }
 

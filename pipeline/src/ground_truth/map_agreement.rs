@@ -72,7 +72,9 @@ impl MapAgreement {
                     "the IMU determines the map's scale only to {:.1} %: an error of some percent would not be noticed",
                     s.sigma_percent
                 ),
-                None => "there is too little motion for the IMU to determine the map's scale".to_owned(),
+                None => {
+                    "there is too little motion for the IMU to determine the map's scale".to_owned()
+                }
             };
             return Finding::new("map-scale", Verdict::Unknown, "map", what);
         };

@@ -278,8 +278,12 @@ impl HdMap {
                 first_observation: points.u32(first_observation)?,
                 first_descriptor: points.u32(first_descriptor)?,
             },
-            quality: QualityColumns::from_columns(quality_columns)
-                .ok_or_else(|| broken(&points.path, "expected eleven columns for the quality of a point"))?,
+            quality: QualityColumns::from_columns(quality_columns).ok_or_else(|| {
+                broken(
+                    &points.path,
+                    "expected eleven columns for the quality of a point",
+                )
+            })?,
             keyframes: KeyframeColumns {
                 time_ns,
                 pose: pose_columns
@@ -363,7 +367,10 @@ impl HdMap {
             return Err(broken(&folder.join(TABLES[0]), "a position is invalid"));
         }
         match checks.iter().find(|(_, sound)| !sound) {
-            Some((name, _)) => Err(broken(&folder.join(name), "a row has an index out of range")),
+            Some((name, _)) => Err(broken(
+                &folder.join(name),
+                "a row has an index out of range",
+            )),
             None => Ok(()),
         }
     }

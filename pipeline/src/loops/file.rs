@@ -174,7 +174,9 @@ fn measured(numbers: &[Result<Option<f64>, String>; 9]) -> Result<Option<Measure
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     let norm = quaternion.norm();
     if absent > 0 || !(norm > 0.5 && norm < 2.0) {
-        return Err("its pose is invalid: expected three coordinates and a unit quaternion".to_owned());
+        return Err(
+            "its pose is invalid: expected three coordinates and a unit quaternion".to_owned(),
+        );
     }
     if !(rotation_sigma_rad > 0.0 && translation_sigma_m > 0.0) {
         return Err("its standard deviations must be more than 0".to_owned());

@@ -131,7 +131,8 @@ impl ScanPoseReport {
             "poses",
             match self.rests {
                 true => "poses and correspondences converged".to_owned(),
-                false => "poses and correspondences did not converge within the allowed iterations".to_owned(),
+                false => "poses and correspondences did not converge within the allowed iterations"
+                    .to_owned(),
             },
         )
         .remedy("start from better poses");

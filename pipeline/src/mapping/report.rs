@@ -392,7 +392,7 @@ mod tests {
     #[test]
     fn a_map_of_a_damaged_recording_has_not_all_data() {
         assert!(MappingReport::default().is_whole());
-        let what = "chunk does not unpack".to_owned();
+        let what = "chunk cannot be decompressed".to_owned();
         let images = MappingReport {
             warnings: vec![MappingWarning::Damaged { what }],
             ..MappingReport::default()

@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn what_no_imu_measures_is_named() {
         for (force, rate, words) in [
-            (0.1, 0.1, "is gravity taken out?"),
+            (0.1, 0.1, "was gravity subtracted?"),
             (981.0, 0.1, "feels 981"),
             (f64::NAN, 0.1, "feels NaN"),
             (9.8, 57.0, "degrees per second"),

@@ -232,7 +232,9 @@ mod binary {
             let model = rest.u32()?;
             let model = ColmapModel::from_number(model)
                 .ok_or_else(|| format!("camera model {model} is not supported"))?;
-            let side = |v: u64| u32::try_from(v).map_err(|_| "the image size of a camera is invalid".to_owned());
+            let side = |v: u64| {
+                u32::try_from(v).map_err(|_| "the image size of a camera is invalid".to_owned())
+            };
             found.push(FoundCamera {
                 number,
                 model: model.name().to_owned(),

@@ -252,7 +252,7 @@ mod tests {
         }
         let file = "600 0 319.5\n0 610 239.5\n0 0 1\n0 0 0\n0 -1 0\n1 0 0\n0 0 1\n1 2 3\n640 480\n";
         let missing = PosedImages::read(folder).expect_err("empty").to_string();
-        assert!(missing.contains("no file belongs"), "{missing}");
+        assert!(missing.contains("no file for an image"), "{missing}");
         for name in ["0000.bmp", "0001.bmp"] {
             write_image(&folder.join("images").join(name), 320, 240);
             fs::write(cameras.join(format!("{name}.camera")), file).expect("camera");

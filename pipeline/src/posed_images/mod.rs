@@ -272,7 +272,7 @@ mod tests {
         .expect("write");
         assert!(message(folder.path()).contains("line 2"));
         fs::write(&poses, "a.png 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n").expect("write");
-        assert!(message(folder.path()).contains("no rigid transform"));
+        assert!(message(folder.path()).contains("not a rigid transform"));
     }
 
     #[test]

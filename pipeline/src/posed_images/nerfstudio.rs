@@ -22,8 +22,8 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
     let path = folder.join(FILE);
     let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
     let mut listed = Listed::new(folder, &path);
-    let whole: Object =
-        serde_json::from_str(&text).map_err(|e| listed.refuse(format!("not a JSON object: {e}")))?;
+    let whole: Object = serde_json::from_str(&text)
+        .map_err(|e| listed.refuse(format!("not a JSON object: {e}")))?;
     let frames = whole.get("frames").and_then(Value::as_array);
     let frames = frames.ok_or_else(|| listed.refuse("it has no list named frames"))?;
     for (number, frame) in frames.iter().enumerate() {

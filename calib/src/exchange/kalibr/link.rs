@@ -224,7 +224,9 @@ pub(super) fn camera(link: &Link) -> Result<(Camera, f64), String> {
             }
         }
         (model, distortion) => {
-            return Err(format!("{model} with distortion {distortion} is not supported"));
+            return Err(format!(
+                "{model} with distortion {distortion} is not supported"
+            ));
         }
     };
     let camera = checked(Camera {

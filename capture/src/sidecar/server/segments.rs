@@ -84,7 +84,10 @@ pub(super) async fn put(
         .and_then(|text| STANDARD.decode(text.strip_prefix("sha-256=")?).ok())
         .filter(|digest| digest.len() == 32);
     let Some(digest) = digest else {
-        return said(StatusCode::BAD_REQUEST, "Digest: sha-256=BASE64 is required");
+        return said(
+            StatusCode::BAD_REQUEST,
+            "Digest: sha-256=BASE64 is required",
+        );
     };
     if length > MAX_SEGMENT_BYTES {
         visit.shared.refusals.count("segment too long");

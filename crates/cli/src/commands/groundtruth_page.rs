@@ -216,11 +216,7 @@ impl Clock {
         let apart = accepted
             .filter_map(|l| Some([self.secs(l.time), apart_m(l, &found.trajectory)? * 1e3]));
         self.of_points(
-            (
-                "Single-image localization vs. trajectory",
-                "apart",
-                "mm",
-            ),
+            ("Single-image localization vs. trajectory", "apart", "mm"),
             Marks {
                 name: "frames that agree".to_owned(),
                 points: apart.collect(),
@@ -347,22 +343,13 @@ fn cameras(cameras: &[CameraRefinement]) -> Table {
 fn imu(imu: Option<&ImuRefinement>) -> Table {
     let rows = imu.map(|imu| {
         [
-            (
-                "gyroscope scale, x, y, z, %",
-                axes(&imu.gyro_scale, 1e2, 2),
-            ),
-            (
-                "accelerometer scale, %",
-                axes(&imu.accel_scale, 1e2, 2),
-            ),
+            ("gyroscope scale, x, y, z, %", axes(&imu.gyro_scale, 1e2, 2)),
+            ("accelerometer scale, %", axes(&imu.accel_scale, 1e2, 2)),
             (
                 "gyroscope shear, yz, xz, xy, %",
                 axes(&imu.gyro_shear, 1e2, 2),
             ),
-            (
-                "accelerometer shear, %",
-                axes(&imu.accel_shear, 1e2, 2),
-            ),
+            ("accelerometer shear, %", axes(&imu.accel_shear, 1e2, 2)),
             (
                 "rotation of accelerometer relative to gyroscope, °",
                 axes(&imu.accel_turn_deg, 1.0, 3),
@@ -371,10 +358,7 @@ fn imu(imu: Option<&ImuRefinement>) -> Table {
                 "delay of accelerometer relative to gyroscope, ms",
                 format!("{:+.2}", 1e3 * imu.accel_delay_s).replace('-', "−"),
             ),
-            (
-                "measured gravity, m/s²",
-                format!("{:.3}", imu.gravity_m_s2),
-            ),
+            ("measured gravity, m/s²", format!("{:.3}", imu.gravity_m_s2)),
             (
                 "largest of these errors, in σ of the settings",
                 format!("{:.1}", imu.imu_error_sigmas),

@@ -174,10 +174,9 @@ impl MarkedDistances {
                     mark.left_out,
                     mark.left_out + mark.clicks
                 );
-                findings
-                    .push(warn("mark-clicks", &mark.name, what).remedy(
-                        "check the clicks in those images; if they are right, the map is bent there",
-                    ));
+                findings.push(warn("mark-clicks", &mark.name, what).remedy(
+                    "check the clicks in those images; if they are right, the map is bent there",
+                ));
             }
             if !mark.is_checked() {
                 let what = "has only two clicks: a wrong one would not be noticed".to_owned();

@@ -62,8 +62,9 @@ pub struct Arguments {
 
 /// `narrow-corridor=12.5,-3,4`.
 fn inset(text: &str) -> Result<(String, [f64; 3]), String> {
-    let problem =
-        || "expected an environment, the centre of a square and its side: hall=12.5,-3,4".to_owned();
+    let problem = || {
+        "expected an environment, the centre of a square and its side: hall=12.5,-3,4".to_owned()
+    };
     let (name, numbers) = text.split_once('=').ok_or_else(problem)?;
     let numbers: Result<Vec<f64>, _> = numbers.split(',').map(str::parse).collect();
     let numbers: [f64; 3] = numbers

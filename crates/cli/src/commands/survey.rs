@@ -213,7 +213,8 @@ fn rests(
         ..RestConfig::default()
     };
     let Some(path) = &arguments.recording else {
-        let what = "rests are found by the poses alone: a trajectory that froze looks like a rest as well";
+        let what =
+            "rests are found by the poses alone: a trajectory that froze looks like a rest as well";
         findings.push(
             Finding::new("rests", Verdict::Unknown, "trajectory", what)
                 .remedy("give the recording (--recording)"),

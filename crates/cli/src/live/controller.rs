@@ -217,7 +217,9 @@ impl Controller {
                 Ok(match position_m {
                     Some(_) => format!("Point {name} saved."),
                     None => {
-                        format!("Point {name} saved without a position, because the live map has none.")
+                        format!(
+                            "Point {name} saved without a position, because the live map has none."
+                        )
                     }
                 })
             }

@@ -30,7 +30,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words.as_slice() {
             ["ply"] if number == 0 => {}
-            _ if number == 0 => return Err("not a PLY file: it does not begin with `ply`".to_owned()),
+            _ if number == 0 => {
+                return Err("not a PLY file: it does not begin with `ply`".to_owned());
+            }
             ["format", "ascii", _] => writing = Some(Writing::Text),
             ["format", "binary_little_endian", _] => {
                 writing = Some(Writing::Binary(ByteOrder::Little));
@@ -43,7 +45,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
             }
             ["element", name, ..] => {
                 if points.is_none() {
-                    return Err(format!("elements {name} before the vertices are not supported"));
+                    return Err(format!(
+                        "elements {name} before the vertices are not supported"
+                    ));
                 }
                 in_vertex = false;
             }

@@ -154,8 +154,12 @@ impl Row<'_> {
     /// A whole number of a type.
     pub(super) fn whole<T: std::str::FromStr>(&self, cell: usize) -> Result<T, String> {
         let text = self.text(cell);
-        text.parse()
-            .map_err(|_| format!("`{text}` in column {} is not a whole number in range", cell + 1))
+        text.parse().map_err(|_| {
+            format!(
+                "`{text}` in column {} is not a whole number in range",
+                cell + 1
+            )
+        })
     }
 
     /// A received power, dBm; some apps write it with decimals.

@@ -89,7 +89,9 @@ impl Frames {
     /// A frame by its number, which is larger than that of the one before.
     pub(super) fn read(&mut self, number: u32) -> Result<Image, String> {
         if number < self.next {
-            return Err(format!("frame {number} has a stamp later than the next one"));
+            return Err(format!(
+                "frame {number} has a stamp later than the next one"
+            ));
         }
         loop {
             let image = self.decode()?;

@@ -61,11 +61,13 @@ impl Extent {
         };
         let is_short = self.announced_chunks.is_some_and(|all| all > self.chunks);
         if self.index_pos == Some(0) {
-            let found =
-                "the bag was not closed and has no index: messages that its recorder had buffered are missing";
+            let found = "the bag was not closed and has no index: messages that its recorder had buffered are missing";
             Some(format!("{found}; {} were read", of(self.chunks)))
         } else if end == End::Torn || is_short || self.index_pos.is_some_and(|at| at > bytes) {
-            Some(format!("the bag is truncated: {} are present", of(self.chunks)))
+            Some(format!(
+                "the bag is truncated: {} are present",
+                of(self.chunks)
+            ))
         } else {
             None
         }

@@ -38,7 +38,9 @@ impl Database {
             if format != "cdr" {
                 return Err(unreadable(
                     path,
-                    format!("messages of {name} are serialized as {format}, but only cdr is supported"),
+                    format!(
+                        "messages of {name} are serialized as {format}, but only cdr is supported"
+                    ),
                 ));
             }
             topics.push((id, name, kind));

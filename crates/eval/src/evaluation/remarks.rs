@@ -286,7 +286,8 @@ fn copied(pairs: &[PosePair]) -> Option<Finding> {
             .remedy("check which file was evaluated, and that the system cannot read the truth")
     };
     if is_many(equal, COPIED_SHARE) {
-        let what = format!("{equal} of {all} poses of the estimate are identical to the ground truth");
+        let what =
+            format!("{equal} of {all} poses of the estimate are identical to the ground truth");
         return Some(finding(what, equal));
     }
     let digits = (1..=6).find(|digits| {

@@ -363,7 +363,7 @@ mod tests {
             told.is_some_and(|f| f.verdict == Verdict::Warn),
             "{found:?}"
         );
-        let apart_secs = found.halves_apart_secs.expect("both halves");
+        let apart_secs = found.halves_apart_secs.expect("between the halves");
         assert!((apart_secs - 0.01).abs() < 2e-3, "{apart_secs}");
         let other: Vec<GyroSample> = (0..4000_usize)
             .map(|i| GyroSample {

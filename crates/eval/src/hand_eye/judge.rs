@@ -73,8 +73,9 @@ pub(super) fn judge(
     );
     // Residuals of neighbouring poses are alike: their standard deviations are then too small.
     if let Some(factor) = refined.correlated_by {
-        let what =
-            format!("residuals are correlated: standard deviations were increased by a factor of {factor:.1}");
+        let what = format!(
+            "residuals are correlated: standard deviations were increased by a factor of {factor:.1}"
+        );
         findings
             .push(Finding::new("correlated", Verdict::Pass, "residuals", what).value(factor, ""));
     }

@@ -151,7 +151,9 @@ impl RadioAgreement {
             return Finding::new("radio", Verdict::Warn, "trajectory", what)
                 .value(self.weaker_db, "dB")
                 .limit(Limit::AtMost(MOST_WEAKER_DB))
-                .remedy("make sure that the walk was on this floor: ceilings attenuate all signals");
+                .remedy(
+                    "make sure that the walk was on this floor: ceilings attenuate all signals",
+                );
         }
         if self.unknown >= self.compared {
             return Finding::new("radio", Verdict::Warn, "trajectory", what)

@@ -157,7 +157,8 @@ impl Layout {
             ));
         }
         if let (Some(unit), None) = (header.and_then(|h| h.foreign_length), given) {
-            let what = format!("positions are in {unit} according to their names; write them in metres");
+            let what =
+                format!("positions are in {unit} according to their names; write them in metres");
             return Err((data.number, what));
         }
         // Behind a row of names a word in the second column is somebody else's.

@@ -49,10 +49,7 @@ pub(super) fn filled(word: &str, values: &BTreeMap<&str, String>) -> Result<Stri
             .ok_or_else(|| format!("'{word}' has a brace that is not closed"))?;
         let value = values.get(name).ok_or_else(|| {
             let known: Vec<&str> = values.keys().copied().collect();
-            format!(
-                "{{{name}}} is not a placeholder; use {}",
-                known.join(", ")
-            )
+            format!("{{{name}}} is not a placeholder; use {}", known.join(", "))
         })?;
         out += value;
         rest = after;

@@ -223,12 +223,12 @@ mod tests {
     fn what_is_wrong_is_named() {
         for (text, line, part) in [
             ("", 0, "no distance"),
-            ("horizontal p1 p2\n", 1, "is no statement"),
-            ("\nhorizontal p1 p2 1,2\n", 2, "'1,2' is no length"),
-            ("distance p1 p2 -1\n", 1, "'-1' is no length"),
+            ("horizontal p1 p2\n", 1, "is not a statement"),
+            ("\nhorizontal p1 p2 1,2\n", 2, "'1,2' is not a length"),
+            ("distance p1 p2 -1\n", 1, "'-1' is not a length"),
             ("distance p1 p2 nan\n", 1, "'nan' is no length"),
             ("distance p1 p1 1\n", 1, "to itself"),
-            ("distance p1 p2 1 0\n", 1, "'0' is no length"),
+            ("distance p1 p2 1 0\n", 1, "'0' is not a length"),
             ("point a 1 2 x\n", 1, "no number"),
             ("point a 1 2 3\npoint a 1 2 3\n", 2, "twice"),
         ] {

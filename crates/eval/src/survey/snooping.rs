@@ -61,7 +61,10 @@ pub(super) fn without_blunders(
             .map(|i| describe(names, &observations[chosen[*i]]))
             .collect();
         if suspects.len() > 1 {
-            let what = format!("one of {} is wrong, but which one is unknown", named.join(", "));
+            let what = format!(
+                "one of {} is wrong, but which one is unknown",
+                named.join(", ")
+            );
             let finding = Finding::new("blunder", Verdict::Fail, "survey", what)
                 .remedy("measure these again, and one more distance across them");
             findings.push(finding);
@@ -207,8 +210,7 @@ fn unchecked(reports: &[ObservationReport]) -> Option<Finding> {
 fn fit(sigma0: Option<f64>, degrees_of_freedom: usize) -> Finding {
     let Some(sigma0) = sigma0 else {
         let what = "as many measurements as unknowns, so that nothing is checked";
-        return Finding::new("fit", Verdict::Warn, "survey", what)
-            .remedy("measure more distances");
+        return Finding::new("fit", Verdict::Warn, "survey", what).remedy("measure more distances");
     };
     let verdict = Verdict::Warn.unless(SIGMA0_RANGE.contains(&sigma0));
     let what = format!(

@@ -80,7 +80,9 @@ fn find_summary(source: &Source) -> Result<Found, Error> {
         hasher.update(&summary);
         hasher.update(&tail[..(HEAD_BYTES + 16) as usize]);
         if hasher.finalize() != crc {
-            return Ok(Found::Not(FromSummary::Broken("its checksum does not match")));
+            return Ok(Found::Not(FromSummary::Broken(
+                "its checksum does not match",
+            )));
         }
     }
     Ok(Found::Summary {

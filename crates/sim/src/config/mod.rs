@@ -377,8 +377,7 @@ impl SimConfig {
             return Err(OutOfBounds::new("", "look", &"detailed", &bounds).into());
         }
         if self.night && !self.place.has_nights() {
-            let bounds =
-                "false in the demo, in the calibration place and in your own scenes";
+            let bounds = "false in the demo, in the calibration place and in your own scenes";
             return Err(OutOfBounds::new("", "night", &true, &bounds).into());
         }
         if self.fire_door && !self.place.has_fire_doors() {

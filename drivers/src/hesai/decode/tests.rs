@@ -127,7 +127,7 @@ fn wrong_models_modes_and_angles_are_refused_with_their_names() {
         angles: Some(angles),
         ..DecoderConfig::default()
     };
-    assert!(error(angles, &good).contains("has 1 channels, a XT32 has 32"));
+    assert!(error(angles, &good).contains("has 1 channels, but a XT32 has 32"));
     let mut triple = good.clone();
     triple.bytes[Model::Xt32.layout().return_mode] = 0x3D;
     assert!(error(DecoderConfig::default(), &triple).contains("0x3d"));

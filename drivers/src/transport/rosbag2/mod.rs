@@ -86,8 +86,9 @@ impl Rosbag2Source {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
             .map_err(|error| damaged("the start", format!("not an sqlite database ({error})")))?;
-        let topics = topics(&database)
-            .map_err(|error| damaged("table topics", format!("not a rosbag2 database ({error})")))?;
+        let topics = topics(&database).map_err(|error| {
+            damaged("table topics", format!("not a rosbag2 database ({error})"))
+        })?;
         let (topic, scan_type) =
             choose(&topics).map_err(|problem| damaged("table topics", problem))?;
         let rows = || -> rusqlite::Result<VecDeque<i64>> {

@@ -138,7 +138,9 @@ impl NodeLink {
         if is_unplugged(&cause) {
             return self.lost(cause);
         }
-        self.protocol(format!("the unit rejected its control {control:?}: {cause}"))
+        self.protocol(format!(
+            "the unit rejected its control {control:?}: {cause}"
+        ))
     }
 
     fn set_format(&self, format: FrameFormat) -> Result<(), Error> {
@@ -201,7 +203,9 @@ impl NodeLink {
 impl PacketSource for NodeLink {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
         let Some(stream) = &mut self.stream else {
-            return Err(self.protocol("waiting for a frame of a stream that was not started".into()));
+            return Err(
+                self.protocol("waiting for a frame of a stream that was not started".into())
+            );
         };
         match stream.next(timeout, &mut self.counters) {
             Ok(packet) => Ok(packet),

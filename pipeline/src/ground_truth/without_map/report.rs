@@ -229,8 +229,9 @@ impl MotionReport {
                 };
                 let finding = left_out.finding();
                 match reason {
-                    LeftOutReason::Uncertain => finding
-                        .remedy("split the walk, look at more texture, or raise the limit"),
+                    LeftOutReason::Uncertain => {
+                        finding.remedy("split the walk, look at more texture, or raise the limit")
+                    }
                     _ => finding,
                 }
             })

@@ -60,7 +60,10 @@ fn lines<T>(
 ) -> Result<Result<Vec<T>, BadLine>, Error> {
     let size = std::fs::metadata(path).map_err(Error::io(path))?.len();
     if size > MAX_BYTES {
-        return Ok(Err((1, format!("{size} bytes are too many for a hand-made list"))));
+        return Ok(Err((
+            1,
+            format!("{size} bytes are too many for a hand-made list"),
+        )));
     }
     let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
     let mut found = Vec::new();
@@ -77,7 +80,10 @@ fn lines<T>(
         }
     }
     Ok(match found.is_empty() {
-        true => Err((1, format!("the file is empty: expected lines of {}", names[0]))),
+        true => Err((
+            1,
+            format!("the file is empty: expected lines of {}", names[0]),
+        )),
         false => Ok(found),
     })
 }
@@ -85,7 +91,9 @@ fn lines<T>(
 /// Names stand in surveys too, whose words are divided by blanks.
 fn name(text: &str) -> Result<String, String> {
     match text.is_empty() || text.contains(char::is_whitespace) {
-        true => Err(format!("{text:?} is not the name of a mark: it must be one word")),
+        true => Err(format!(
+            "{text:?} is not the name of a mark: it must be one word"
+        )),
         false => Ok(text.to_owned()),
     }
 }
@@ -109,7 +117,10 @@ fn parse_click(columns: &[&str]) -> Result<Click, String> {
         mark,
         camera: (*camera).to_owned(),
         time: Timestamp::from_nanos(nanos),
-        pixel: Vector2::new(number(u_px, "pixel coordinate")?, number(v_px, "pixel coordinate")?),
+        pixel: Vector2::new(
+            number(u_px, "pixel coordinate")?,
+            number(v_px, "pixel coordinate")?,
+        ),
     })
 }
 

@@ -99,9 +99,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return gyroscopes::run(input, reference, arguments, context);
     }
     let Some(path) = &arguments.reference else {
-        anyhow::bail!(
-            "give a trajectory with --reference, or IMU data with --reference-imu"
-        );
+        anyhow::bail!("give a trajectory with --reference, or IMU data with --reference-imu");
     };
     if let Some(out) = &arguments.out {
         context.claim(out, &[input, path])?;

@@ -69,7 +69,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
         for reach in &figures.reaches {
             if let Some(errors_m) = &reach.errors_m {
-                text += &format!("\nanother walk within {} m: {}", reach.within_m, of(errors_m));
+                text += &format!(
+                    "\nanother walk within {} m: {}",
+                    reach.within_m,
+                    of(errors_m)
+                );
             }
         }
         if figures.unheard > 0 {

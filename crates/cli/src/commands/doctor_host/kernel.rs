@@ -54,7 +54,9 @@ pub(super) fn backlog(root: &Path) -> Finding {
             Some(packets) => format!("net.core.netdev_max_backlog = {packets}"),
             None => "not visible in this network namespace".to_owned(),
         },
-        format!("sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}; to make it permanent: {INSTALL}"),
+        format!(
+            "sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}; to make it permanent: {INSTALL}"
+        ),
     )
 }
 
@@ -69,7 +71,10 @@ pub(super) fn dirty_pages(root: &Path) -> Finding {
     check(
         "write-back",
         Verdict::Warn.unless(limit <= GOOD_DIRTY_BYTES),
-        format!("up to {} MB are buffered in memory before writing to disk", limit / 1_000_000),
+        format!(
+            "up to {} MB are buffered in memory before writing to disk",
+            limit / 1_000_000
+        ),
         format!("sudo sysctl -w vm.dirty_bytes=536870912; to make it permanent: {INSTALL}"),
     )
     .value((limit / 1_000_000) as f64, "MB")
@@ -116,7 +121,9 @@ pub(super) fn early_writing(root: &Path) -> Finding {
         "early writing",
         Verdict::Warn.unless(start <= GOOD_BACKGROUND_BYTES),
         format!("starts at {} MB", start / 1_000_000),
-        format!("sudo sysctl -w vm.dirty_background_bytes=67108864; to make it permanent: {INSTALL}"),
+        format!(
+            "sudo sysctl -w vm.dirty_background_bytes=67108864; to make it permanent: {INSTALL}"
+        ),
     )
     .value((start / 1_000_000) as f64, "MB")
     .limit(Limit::AtMost((GOOD_BACKGROUND_BYTES / 1_000_000) as f64))

@@ -158,9 +158,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         _ => None,
     };
     if let Some(before) = unfinished.as_ref().map(Unfinished::len).filter(|n| *n > 0) {
-        context.note(&format!(
-            "resuming after {before} localized images"
-        ));
+        context.note(&format!("resuming after {before} localized images"));
     }
     let stages = match (&arguments.out, arguments.explain) {
         (Some(out), None) => input.kept_stages(out, &map, &config, context)?,
@@ -171,10 +169,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         walk: &stages,
     };
     let found = input.localize(&localizer, &detector, kept, context)?;
-    anyhow::ensure!(
-        !found.frames.is_empty(),
-        "there are no images to localize"
-    );
+    anyhow::ensure!(!found.frames.is_empty(), "there are no images to localize");
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
         // Of a folder of images it is the only one by now.
         let frame = if found.times.is_empty() { 0 } else { frame };
@@ -285,8 +280,7 @@ fn text(s: &Summary) -> String {
         );
     }
     if !s.map_failures.is_empty() {
-        text +=
-            "\nThe map failed its checks when it was made, so that poses in it may be far from the truth:";
+        text += "\nThe map failed its checks when it was made, so that poses in it may be far from the truth:";
     }
     for failure in &s.map_failures {
         text += &format!("\n  {failure}");

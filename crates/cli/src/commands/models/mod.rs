@@ -220,9 +220,8 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
         false => Trust::Published,
     };
     let read = Network::read_all(&arguments.file, trust).map_err(|error| match error {
-        lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error).context(
-            "add weights that are not the published ones with --force-unknown",
-        ),
+        lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error)
+            .context("add weights that are not the published ones with --force-unknown"),
         other => other.into(),
     })?;
     let folder = arguments.folder.path()?;

@@ -78,7 +78,10 @@ pub(super) fn decode(
     if report.streams.iter().all(|stream| stream.decoded == 0) {
         let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
         let why = bad.unwrap_or("it has no LiDAR packets");
-        bail!("{}: no scan could be assembled: {why}", choice.path.display());
+        bail!(
+            "{}: no scan could be assembled: {why}",
+            choice.path.display()
+        );
     }
     Ok(report)
 }

@@ -165,11 +165,7 @@ fn frames(source: &Path, into: &mut Collected) -> Result<(), Error> {
         .find(|p| p.is_file());
     let Some(video) = video else {
         let records = table.rows(',').count() as u64;
-        into.leave_out(
-            "stamps of Frames.txt",
-            records,
-            "their video is missing",
-        );
+        into.leave_out("stamps of Frames.txt", records, "their video is missing");
         return Ok(());
     };
     into.videos.push(video);

@@ -143,9 +143,7 @@ fn stamp(event: &Value) -> Result<i64, String> {
     let time = event.get("time").and_then(Value::as_f64).ok_or("no time")?;
     match POSSIBLE_S.contains(&time) {
         true => Ok((time * 1e9).round() as i64),
-        false => Err(format!(
-            "time {time} s: expected 0 to 2147483648 s"
-        )),
+        false => Err(format!("time {time} s: expected 0 to 2147483648 s")),
     }
 }
 

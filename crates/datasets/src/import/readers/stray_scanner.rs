@@ -139,7 +139,8 @@ fn calibrate(matrix: &Path, video: &Path, device: &str, into: &mut Collected) ->
     rig.cameras.insert("cam0".to_owned(), camera);
     into.rig = Some(rig);
     into.notes.push(
-        "rig: one lens without distortion, from camera_matrix.csv; its pose on the IMU is unknown".to_owned(),
+        "rig: one lens without distortion, from camera_matrix.csv; its pose on the IMU is unknown"
+            .to_owned(),
     );
     Ok(())
 }

@@ -68,10 +68,8 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
         ),
     }
     if samples > 0 {
-        into.notes.push(
-            "imu: raw sensor values; Android's bias corrections are left out"
-                .to_owned(),
-        );
+        into.notes
+            .push("imu: raw sensor values; Android's bias corrections are left out".to_owned());
     }
     Ok(())
 }
@@ -133,8 +131,7 @@ fn image(message: &[u8], video: usize, number: u64) -> Result<(i64, Payload), St
 fn each(message: &[u8], mut take: impl FnMut(u64, Value<'_>)) -> Result<(), String> {
     let mut rest = message;
     while !rest.is_empty() {
-        let (number, value, behind) =
-            field(rest).map_err(|_| "a truncated message".to_owned())?;
+        let (number, value, behind) = field(rest).map_err(|_| "a truncated message".to_owned())?;
         take(number, value);
         rest = behind;
     }

@@ -105,7 +105,12 @@ impl Piece {
             "Point2Dd" | "Point4Df" => 16,
             "Point3Dd" => 24,
             "Point4Dd" => 32,
-            other => return Err(format!("{} is of the type {other}, which is not supported", self.name)),
+            other => {
+                return Err(format!(
+                    "{} is of the type {other}, which is not supported",
+                    self.name
+                ));
+            }
         };
         Ok(self.size.unwrap_or(1).saturating_mul(size))
     }

@@ -61,7 +61,11 @@ impl RecordSpan {
                 .and_then(|d| d.take(limit).read_to_end(&mut unpacked)),
             2 => zstd::stream::read::Decoder::new(packed.as_slice())
                 .and_then(|d| d.take(limit).read_to_end(&mut unpacked)),
-            other => return Err(format!("compression {other} is not supported: use lz4 or zstd")),
+            other => {
+                return Err(format!(
+                    "compression {other} is not supported: use lz4 or zstd"
+                ));
+            }
         };
         match read {
             Ok(_) if unpacked.len() as u64 == self.unpacked => Ok(unpacked),

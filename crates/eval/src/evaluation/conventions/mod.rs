@@ -71,9 +71,7 @@ pub(super) fn orientations(
             let q = raw(q);
             of(q.k, q.w, q.i, q.j)
         }),
-        ("are inverted (world in the body frame)", &|q| {
-            q.inverse()
-        }),
+        ("are inverted (world in the body frame)", &|q| q.inverse()),
     ];
     let named = |convention: &str| {
         format!("the estimate's quaternions {convention}: all its rotations are wrong")

@@ -206,10 +206,7 @@ impl Document {
         index: usize,
         data: &[u8],
     ) -> Result<Vec<[f64; N]>, String> {
-        let accessor = self
-            .accessors
-            .get(index)
-            .ok_or("a missing accessor")?;
+        let accessor = self.accessors.get(index).ok_or("a missing accessor")?;
         let view_index = accessor.buffer_view.ok_or("an accessor without a view")?;
         let bytes = self.view(view_index, data)?;
         let size = match accessor.component_type {

@@ -206,10 +206,7 @@ struct Reading<'a> {
 impl Reading<'_> {
     fn node(&mut self, index: usize, parent: &Matrix4<f32>, level: usize) -> Result<(), String> {
         let document = self.document;
-        let node = document
-            .nodes
-            .get(index)
-            .ok_or("a missing node")?;
+        let node = document.nodes.get(index).ok_or("a missing node")?;
         if level > MOST_LEVELS {
             return Err("its nodes form a cycle".to_owned());
         }
@@ -232,16 +229,10 @@ impl Reading<'_> {
         let world = parent * own;
         if let Some(at) = &node.extensions.lamp {
             let lamps = &document.extensions.lights.lights;
-            self.lamp(
-                lamps.get(at.light).ok_or("a missing light")?,
-                &world,
-            )?;
+            self.lamp(lamps.get(at.light).ok_or("a missing light")?, &world)?;
         }
         if let Some(mesh) = node.mesh {
-            let mesh = document
-                .meshes
-                .get(mesh)
-                .ok_or("a missing mesh")?;
+            let mesh = document.meshes.get(mesh).ok_or("a missing mesh")?;
             for primitive in mesh.primitives.iter().filter(|p| p.mode == triangles()) {
                 self.primitive(primitive, &world)?;
             }

@@ -110,7 +110,10 @@ impl Site {
                 Ok(submission) => html(StatusCode::OK, page::scored(&submission)),
                 Err(refusal) => html(refusal.status, page::refused(&refusal.why)),
             },
-            _ => said(StatusCode::METHOD_NOT_ALLOWED, "uploads are not accepted here"),
+            _ => said(
+                StatusCode::METHOD_NOT_ALLOWED,
+                "uploads are not accepted here",
+            ),
         };
         under(POLICY, answer)
     }
@@ -160,7 +163,9 @@ impl Site {
         let most = self.most_bytes + FORM_BYTES;
         let body = body(request, most, UPLOAD_TIMEOUT)
             .await
-            .map_err(|status| Refusal::new(status, "the upload is too large, too slow or incomplete"))?;
+            .map_err(|status| {
+                Refusal::new(status, "the upload is too large, too slow or incomplete")
+            })?;
         let site = Arc::clone(self);
         let judged = blocking(move || site.judge(&content_type, &body)).await;
         let unknown = || Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, "it could not be scored");
@@ -183,7 +188,8 @@ impl Site {
         let team = team.ok_or_else(|| bad("a team name has 1 to 40 characters"))?;
         let known = text("sequence").and_then(|name| self.truths.get_key_value(name));
         let (sequence, truth) = known.ok_or_else(|| bad("no such sequence"))?;
-        let upload = field(&fields, "trajectory").ok_or_else(|| bad("the trajectory is missing"))?;
+        let upload =
+            field(&fields, "trajectory").ok_or_else(|| bad("the trajectory is missing"))?;
         let submission = Submission {
             unix_s: SystemTime::now()
                 .duration_since(UNIX_EPOCH)

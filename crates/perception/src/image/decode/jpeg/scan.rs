@@ -37,7 +37,10 @@ impl fmt::Display for Damage {
         match self {
             Self::Short { blocks, of } => write!(f, "its data ends after {blocks} of {of} blocks"),
             Self::Long { bytes } => {
-                write!(f, "its data continues for {bytes} bytes after the last block")
+                write!(
+                    f,
+                    "its data continues for {bytes} bytes after the last block"
+                )
             }
             Self::NoCode { block, of } => write!(f, "block {block} of {of} has no valid code"),
             Self::Constant { block, of } => {
