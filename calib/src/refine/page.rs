@@ -76,7 +76,7 @@ fn numbers(components: &[Component], e: &Evidence) -> Markup {
     let median = |px: f64| format!("{px:.2} px");
     let pose = html! {
         table.numbers {
-            thead { tr { th { "camera axis (rotation about, translation along)" } th { "change" } th { "σ" } th { "halves differ" } th { "" } } }
+            thead { tr { th { "camera axis (rotation about, translation along)" } th { "change" } th { "σ" } th { "difference of halves" } th { "" } } }
             tbody {
                 @for (k, half) in components.iter().zip(e.halves) {
                     tr {
@@ -95,7 +95,7 @@ fn numbers(components: &[Component], e: &Evidence) -> Markup {
             tbody {
                 tr { td { "corners on surfaces, seen" } td { (e.corners) ", " (e.observations) " times in " (e.images) " images" } }
                 tr { td { "transfer error between images: initial rig" } td { (median(e.transfer.before_px)) } }
-                tr { td { "now" } td { (median(e.transfer.after_px)) } }
+                tr { td { "refined rig" } td { (median(e.transfer.after_px)) } }
                 tr { td { "in held-out parts" } td { (median(e.transfer.held_back_px)) } }
                 tr { td { "χ² between halves of the recording" } td { (format!("{:.1}", e.halves_square)) " (6 expected)" } }
                 tr { td { "noise of corners, of surfaces" } td { (format!("{:.2} px, {:.1} mm", e.pixel_px, e.plane_m * 1e3)) } }

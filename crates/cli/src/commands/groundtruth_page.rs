@@ -245,7 +245,7 @@ fn figures(found: &GroundTruth) -> Vec<Figure> {
         count("frames", report.frames),
         count("poses", report.poses),
         count("poses from IMU and local points only", report.bridged),
-        count("instants localized", report.localized),
+        count("frames localized", report.localized),
         count("localizations rejected", report.rejected_localizations),
         Figure::new("path length", report.path_length_m, "m"),
         Figure::new("position σ, max", 1e3 * largest(1), "mm"),

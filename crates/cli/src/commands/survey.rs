@@ -270,15 +270,15 @@ fn solution_text(solution: &SurveySolution) -> String {
         );
     }
     out += &format!(
-        "\n{:<20} {:>10} {:>13} {:>10} {:>7} {:>14}\n",
-        "measurement", "read (m)", "residual (mm)", "redundancy", "w", "finds (mm)"
+        "\n{:<20} {:>12} {:>13} {:>10} {:>7} {:>15}\n",
+        "measurement", "measured (m)", "residual (mm)", "redundancy", "w", "detectable (mm)"
     );
     for o in &solution.observations {
         let or_dash = |value: Option<f64>, digits: usize| {
             value.map_or("–".to_owned(), |v| format!("{v:.digits$}"))
         };
         out += &format!(
-            "{:<20} {:>10} {:>13.2} {:>10.2} {:>7} {:>14}{}\n",
+            "{:<20} {:>12} {:>13.2} {:>10.2} {:>7} {:>15}{}\n",
             o.what,
             or_dash(o.measured_m, 4),
             1000.0 * o.residual_m,

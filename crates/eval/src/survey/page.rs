@@ -240,7 +240,7 @@ fn measurements(solution: &SurveySolution) -> Markup {
     };
     let table = html! {
         table.numbers {
-            thead { tr { th { "measurement" } th { "read (m)" } th { "residual (mm)" } th { "redundancy" } th { "w" } th { "finds (mm)" } th { } } }
+            thead { tr { th { "measurement" } th { "measured (m)" } th { "residual (mm)" } th { "redundancy" } th { "w" } th { "detectable (mm)" } th { } } }
             tbody {
                 @for o in &solution.observations {
                     tr {

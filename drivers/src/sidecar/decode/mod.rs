@@ -158,7 +158,7 @@ impl Decoder {
     fn data(&mut self, envelope: &Envelope<'_>) -> Result<Option<SidecarMessage>, DecodeError> {
         if !self.channels.contains_key(&envelope.channel) {
             return Err(DecodeError::Wire(WireError::Value {
-                field: "undefined channel",
+                field: "channel without a description",
                 offset: 0,
                 got: envelope.channel.into(),
             }));
@@ -191,7 +191,7 @@ impl Decoder {
 
 fn out_of_place(envelope: &Envelope<'_>) -> DecodeError {
     DecodeError::Wire(WireError::Value {
-        field: "unexpected envelope type",
+        field: "envelope type at this place",
         offset: 0,
         got: envelope.kind.id(),
     })

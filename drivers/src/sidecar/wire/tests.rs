@@ -229,7 +229,7 @@ fn the_vectors_of_the_protocol_document_are_read_and_written() {
     };
     let refused = State {
         refusal: Some(Refusal::Gap),
-        text: "gap in the sequence numbers".to_owned(),
+        text: "gap in the numbers".to_owned(),
     };
     let (hello, asked) = (hello.emit(), asked.emit());
     let (answered, refused) = (answered.emit(), refused.emit());
