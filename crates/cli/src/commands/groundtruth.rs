@@ -29,10 +29,10 @@ use crate::standing;
 /// Compute the ground-truth trajectory of a walk in an HD map.
 ///
 /// Poses that are uncertain, or that move when parts of the map are withheld, are left out; the exit
-/// code is then 3 and the findings say why. Exit code 4: do not use the trajectory. The map's scale or
-/// vertical differs from the IMU's by more than 5 %, images and IMU agree only with IMU errors above 12
-/// standard deviations (imu-errors), a camera is more than 10 from its place in the rig file
-/// (camera-off), or the barometer says that part of the walk was on another floor.
+/// code is then 3 and the findings say why. Exit code 4: do not use the trajectory, because the map's
+/// scale differs from the IMU's by more than 5 % (map-scale), images and IMU agree only with IMU errors
+/// above 12 σ (imu-errors), a camera is more than 10 σ off the rig file (camera-off), or the barometer
+/// puts part of the walk on another floor (barometer).
 ///
 /// The finding place-not-checked says for how long the place could not be told from one built alike;
 /// looks-alike warns of a walk that fits nearly as well elsewhere. Trust those poses only if there is
