@@ -38,11 +38,12 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// One meaning each, in all commands.
-const EXIT_CODES: &str = "Exit codes: 0 done · 1 failed · 2 bad arguments · 3 finished, but data was lost · \
+const EXIT_CODES: &str = "Exit codes: 0 done · 1 failed · 2 bad arguments · 3 finished, but data was lost ·
 4 finished, but a check failed · 130 stopped by Ctrl-C · 143 stopped by SIGTERM
 
-Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no half-written file (when recording \
-devices it ends the recording, with 0 or 3); a second Ctrl-C stops it at once. Output is coloured on terminals, unless NO_COLOR is set.
+Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no
+half-written file (when recording devices it ends the recording, with 0 or 3); a second Ctrl-C stops
+it at once. Output is coloured on terminals, unless NO_COLOR is set.
 
 Examples:
   lsfb demo --out demo-out                               # all of the below, simulated; open demo-out/report.html

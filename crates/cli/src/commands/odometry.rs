@@ -25,9 +25,9 @@ use crate::outcome::Outcome;
 /// for `lsfb eval --align origin`.
 ///
 /// Exit code 3: packets or messages are missing or unreadable, scans have no pose, or the last position
-/// is uncertain by more than a metre. After a gap of 1.5 s without a registered scan nothing is written
-/// (lidar-gap). Exit code 4: IMU and scans contradict each other (axes, clock, unit, or mounting); the
-/// trajectory is written, but wrong.
+/// is uncertain by more than a metre; also for gaps of 1.5 s or more without a registered scan, in
+/// which no poses are written (lidar-gap). Exit code 4: IMU and scans contradict each other (axes,
+/// clock, unit, or mounting); the trajectory is written, but wrong.
 ///
 /// --out-loops detects revisited places, corrects the drift, and lists every loop candidate with its
 /// scores and verdict; edit the verdicts and pass the list to --loops to use it as it is. Details:

@@ -16,9 +16,9 @@ use crate::standing::program_sha256;
 ///
 /// The plan (TOML) lists sequences (a recording, its truth, the longer side of the place) and systems
 /// (a command with {input}, {out}, {trajectory}, {sequence}, {run}; the layout that it reads: as_is,
-/// euroc, tum_vi, kitti, images, stamped). The median of several runs counts; × marks more than half
-/// failed runs, with the cause. Single failed runs and suspicious trajectories, such as the truth
-/// itself, are named below the table.
+/// euroc, tum_vi, kitti, images, stamped). The median of several runs counts; × means that more than
+/// half of the runs failed, with the cause. Single failed runs and suspicious trajectories, such as the
+/// truth itself, are named below the table.
 ///
 /// A finished run is repeated if its command, its program, a file named by the command or the plan
 /// (files = [...]), or its input has changed, or with --again. --force only replaces the tables. All
