@@ -428,7 +428,7 @@ fn manual_exposure_goes_through_the_controls_of_the_node() {
     assert_eq!(camera.option(CameraOption::ExposureMode).unwrap(), 1);
     drop(camera);
     let error = MyntCamera::open(&with(2_000)).unwrap_err().to_string();
-    assert!(error.contains("refuses its control Gain"), "{error}");
+    assert!(error.contains("rejected its control Gain"), "{error}");
 }
 
 /// A unit that also tells about 20 samples of its IMU, in the protocol of its spec.

@@ -338,7 +338,7 @@ mod tests {
                 let [[x, y, _], forces] = walk(n);
                 [[x, y, 0.25], forces]
             },
-            "z of its gyroscope stands at 0.25",
+            "z of the gyroscope is stuck at 0.25",
         );
         fails(
             |n| {
@@ -358,11 +358,11 @@ mod tests {
         fails(|n| walk(n / 10 * 10), "90 % of the samples during rotation");
         fails(
             |n| [walk(n / 10 * 10)[0], walk(n)[1]],
-            "reading of its gyroscope before once more",
+            "repeat the previous reading of the gyroscope",
         );
         fails(
             |n| [walk(n)[0], walk(n / 10 * 10)[1]],
-            "reading of its accelerometer before once more",
+            "repeat the previous reading of the accelerometer",
         );
         // One of ten was written twice.
         let twice = found(|n| walk(n - i64::from(n % 10 == 0)));

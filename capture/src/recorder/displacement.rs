@@ -114,7 +114,7 @@ mod tests {
         let emptied = found(&open).unwrap();
         assert_eq!((emptied.lost(Some(7)), emptied.lost(None)), (7, 1));
         let sentence = emptied.sentence(Some(7), None);
-        assert!(sentence.contains("emptied") && sentence.contains("its 7 messages"));
+        assert!(sentence.contains("truncated") && sentence.contains("its 7 messages"));
     }
 
     #[test]

@@ -311,7 +311,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
         .set_handling(SettingsHandling::Ignores);
     let error = refused(&other);
     assert!(
-        error.contains("was set to rpm=900 and reads rpm=1200"),
+        error.contains("was set to rpm=900 but reads rpm=1200"),
         "{error}"
     );
     let settings = other.lidars.first_mut().and_then(|l| l.settings.as_mut());

@@ -161,7 +161,7 @@ fn reports(root: &Path) {
     let page = fs::read_to_string(root.join("page.html")).expect("page");
     for shown in [
         "Corridor (narrow)",
-        "C3-glasses against its truth",
+        "C3-glasses vs. its truth",
         "Translation error over time",
         "480×300",
     ] {

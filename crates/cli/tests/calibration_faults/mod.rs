@@ -416,7 +416,7 @@ fn motions_that_say_too_little() {
             "hardly_x",
             motion([0.0, 0.3, 0.3], moving),
             End::Warn,
-            &["hardly turns about x", "rotate more about x"],
+            &["hardly any rotation about x", "rotate more about x"],
         ),
         (
             "turning_alone",

@@ -302,7 +302,7 @@ fn names_overrule_the_order_of_columns() {
         .expect_err("no names")
         .to_string();
     assert!(
-        unnamed.contains("line 1: 'a,b,c,d,e,f,g,h' names no stamp"),
+        unnamed.contains("line 1: 'a,b,c,d,e,f,g,h' has no stamp"),
         "{unnamed}"
     );
     let nine = whole("1.5,1,2,3,0.6,0,0,0.8,7\n")

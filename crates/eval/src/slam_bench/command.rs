@@ -86,7 +86,7 @@ mod tests {
         assert!(
             fill("{inputs}")
                 .expect_err("unknown")
-                .contains("known are input, run")
+                .contains("use input, run")
         );
         assert!(fill("{input").is_err());
     }

@@ -226,7 +226,7 @@ mod tests {
             ("horizontal p1 p2\n", 1, "is not a statement"),
             ("\nhorizontal p1 p2 1,2\n", 2, "'1,2' is not a length"),
             ("distance p1 p2 -1\n", 1, "'-1' is not a length"),
-            ("distance p1 p2 nan\n", 1, "'nan' is no length"),
+            ("distance p1 p2 nan\n", 1, "'nan' is not a length"),
             ("distance p1 p1 1\n", 1, "to itself"),
             ("distance p1 p2 1 0\n", 1, "'0' is not a length"),
             ("point a 1 2 x\n", 1, "no number"),

@@ -120,7 +120,7 @@ fn wrong_models_modes_and_angles_are_refused_with_their_names() {
     };
     assert_eq!(
         error(expect, &good),
-        "packets of a XT32 where a QT64 is configured"
+        "packets of a XT32, but a QT64 is configured"
     );
     let angles = BeamAngles::parse_csv("Laser id,Elevation,Azimuth\n1,2.0,3.0\n").unwrap();
     let angles = DecoderConfig {

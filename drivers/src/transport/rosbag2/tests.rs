@@ -153,7 +153,7 @@ fn what_is_wrong_with_a_bag_is_said() {
         ),
         (
             "UPDATE topics SET type = 'sensor_msgs/msg/PointCloud2' WHERE id = 2",
-            "there is /imu (sensor_msgs/msg/Imu), /packets (sensor_msgs/msg/PointCloud2)",
+            "it has /imu (sensor_msgs/msg/Imu), /packets (sensor_msgs/msg/PointCloud2)",
         ),
         (
             "INSERT INTO topics VALUES (3,'/back','velodyne_msgs/msg/VelodyneScan','cdr','')",

@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn another_device_is_refused_and_an_unplugged_one_is_lost() {
         let folder = tempfile::tempdir().unwrap();
-        for (product, expected) in [(0x5720, None), (0x1234, Some("0483:1234 is here"))] {
+        for (product, expected) in [(0x5720, None), (0x1234, Some("found 0483:1234"))] {
             let path = folder.path().join(format!("usb{product}"));
             let mut device = MockUsb::bind(&path, 0x0483, product).unwrap();
             std::thread::scope(|scope| {

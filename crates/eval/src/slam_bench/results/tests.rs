@@ -65,9 +65,9 @@ fn every_end_has_its_cause() {
         "mute: never initialised",
         "crash: crashed (exit status: 7)",
         "lost: lost (20 % covered)",
-        "rubbish: not judged",
+        "rubbish: not evaluated",
         "empty: never initialised",
-        "elsewhen: not judged: no pose of the estimate is within",
+        "elsewhen: not evaluated: no pose of the estimate is within",
     ]) {
         assert!(cause.starts_with(begins), "{cause}");
     }
