@@ -219,7 +219,7 @@ fn wrong_files_are_named() {
         (
             "camera_model: ds",
             "camera_model: sphere",
-            "camera_model sphere is not known",
+            "camera_model sphere is not supported",
         ),
         ("cam1:", "left:", "left: expected cam0"),
         ("equidistant", "radial", "pinhole with distortion radial"),

@@ -60,7 +60,11 @@ fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
     (swapped[7], swapped[9]) = ("left=right", "right=left");
     let report = json(path, &[&swapped[..], &["--force"]].concat(), 0);
     assert_eq!(report["outcome"], "WARN");
-    assert!(report.to_string().contains("their views are swapped"));
+    assert!(
+        report
+            .to_string()
+            .contains("their views or their names are swapped")
+    );
 }
 
 #[test]
@@ -86,7 +90,7 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
     refused(
         path,
         &other,
-        &["left", "of 9 images, 4 are needed", "8 × 6"],
+        &["left", "of 9 images, but 4 are needed", "8 × 6"],
     );
     blind(path, "right");
     refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);

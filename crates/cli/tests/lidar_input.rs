@@ -261,7 +261,7 @@ fn models_that_are_not_there_are_refused_by_name() {
         match model {
             "vlp-32c" => drop(json(path, &scan, 0)),
             "vlp-16" => refused(path, &scan, &["VLP-32C where a VLP-16 is configured"]),
-            _ => refused(path, &scan, &["where a XT32 is configured"]),
+            _ => refused(path, &scan, &["but a XT32 is configured"]),
         }
     }
 }

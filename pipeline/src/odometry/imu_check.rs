@@ -95,8 +95,8 @@ mod tests {
     fn what_no_imu_measures_is_named() {
         for (force, rate, words) in [
             (0.1, 0.1, "was gravity subtracted?"),
-            (981.0, 0.1, "feels 981"),
-            (f64::NAN, 0.1, "feels NaN"),
+            (981.0, 0.1, "measures 981"),
+            (f64::NAN, 0.1, "measures NaN"),
             (9.8, 57.0, "degrees per second"),
         ] {
             let ImuUnits::Wrong { problem } = mend_units(&mut samples(force, rate)) else {

@@ -144,7 +144,10 @@ fn boards_and_cameras() {
         &["the plate's centre is at", "measure it"],
     );
     let swapped = arguments(OWN, PLATE, "cam1=images");
-    let words = &["found where the rig has cam0", "their images are swapped"];
+    let words = &[
+        "found where the rig has cam0",
+        "their images or their names are swapped",
+    ];
     ends(path, &swapped, "swapped.toml", End::Warn, words);
     for (name, change, words) in [
         (

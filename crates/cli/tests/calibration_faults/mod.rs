@@ -300,7 +300,10 @@ fn cameras_that_are_not_what_they_are_called() {
         &camera_imu(GRID, "cam0=cam1", imu),
         "one_swapped.toml",
         End::Warn,
-        &["found where the rig has cam1", "their images are swapped"],
+        &[
+            "found where the rig has cam1",
+            "their images or their names are swapped",
+        ],
     );
     let both = [
         &camera_imu(GRID, "cam0=cam1", imu)[..],
@@ -318,7 +321,7 @@ fn cameras_that_are_not_what_they_are_called() {
     let cameras = ["--camera", "cam0=cam1", "--camera", "cam1=cam0"];
     let words = &[
         "are swapped compared with the rig",
-        "their views are swapped",
+        "their views or their names",
     ];
     ends(
         good(),
@@ -452,7 +455,7 @@ fn motions_that_say_too_little() {
         let of_lens: Option<&[&str]> = match name {
             "moving_alone" => Some(&["cannot be determined", "tilted by 30°", "near and far"]),
             // One image, again and again.
-            "still" => Some(&["only 1 of them differ", "copies", "move the board"]),
+            "still" => Some(&["only 1 of them differ", "duplicates", "move the board"]),
             _ => None,
         };
         if let Some(words) = of_lens {

@@ -144,8 +144,8 @@ fn text_that_is_no_number_is_named_by_its_line() {
     };
     for (name, number) in [("a.pcd", 13), ("a.ply", 15)] {
         for (line, words) in [
-            ("1,5 2 0.5 255 0.1", "\"1,5\" is no number"),
-            ("1 2 0.5 255 x", "\"x\" is no number"),
+            ("1,5 2 0.5 255 0.1", "\"1,5\" is not a number"),
+            ("1 2 0.5 255 x", "\"x\" is not a number"),
             ("1 2 0.5", "3 words, but the header says 5"),
             ("1 2 0.5 255 0.1 7", "6 words, but the header says 5"),
         ] {

@@ -170,7 +170,7 @@ fn damaged_lines_are_counted_and_never_imported() {
                 )
             }),
             [400, 399, 1, 0],
-            "`nan` in column 2 is no number",
+            "`nan` in column 2 is not a number",
         ),
         (
             "two in one",
@@ -447,7 +447,7 @@ fn units_and_clocks_that_cannot_be_are_refused() {
         (
             "imu0",
             Box::new(numbers(1, 4, "20.0")),
-            "turns of 34.6 rad/s",
+            "angular rates above 34.6 rad/s",
         ),
         // An hour.
         ("imu0", Box::new(later), "different clocks"),

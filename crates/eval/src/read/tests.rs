@@ -286,7 +286,7 @@ fn names_overrule_the_order_of_columns() {
     ));
     let long = long.expect_err("millimetres").to_string();
     assert!(
-        long.contains("positions are in mm by their names"),
+        long.contains("positions are in mm according to their names"),
         "{long}"
     );
     // Not said: TUM's order is assumed, with a warning.

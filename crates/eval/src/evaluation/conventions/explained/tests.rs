@@ -105,7 +105,7 @@ fn one_mistake_that_makes_all_errors_is_named() {
     let mounted = changed(&right, |_, p| {
         p.world_from_rig.rotation *= UnitQuaternion::new(Vector3::z() * 0.06);
     });
-    only(&named(&mounted), "orientations", "turned by 3.");
+    only(&named(&mounted), "orientations", "rotation of 3.");
 
     let true_turns = changed(&right, |i, p| {
         p.world_from_rig.rotation = walk(|_| 0.0)[i].world_from_rig.rotation;
