@@ -196,7 +196,7 @@ mod tests {
             ("nonsense", "line 1: expected"),
             (
                 "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\ntagFamily: tag25h9",
-                "line 6: tagFamily is not understood",
+                "line 6: tagFamily is unknown",
             ),
             (
                 "target_type: aprilgrid # mine\ntagCols: 60\ntagRows: 60\ntagSize: 1\ntagSpacing: 0.3",

@@ -358,7 +358,7 @@ fn left_and_right_that_are_swapped_are_warned_of() {
         let findings = found.expect("calibrated").cameras[1].findings.clone();
         findings
             .iter()
-            .any(|f| f.what.contains("their views are swapped"))
+            .any(|f| f.what.contains("their views or their names are swapped"))
     };
     views[0].name = "right".into();
     views[1].name = "left".into();

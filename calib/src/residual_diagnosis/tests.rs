@@ -115,7 +115,7 @@ fn the_cause_is_named_with_its_size() {
 
     let text = said(views(flat, LENS, 0.02));
     assert!(
-        text.contains("rolls, 20.") || text.contains("rolls, 19."),
+        text.contains("shutter with 20.") || text.contains("shutter with 19."),
         "{text}"
     );
     assert!(text.contains("in slow views"), "{text}");
