@@ -192,7 +192,7 @@ fn what_is_wrong_in_a_list_of_clicks_is_named() {
         ("door,cam0,12,1.5\n", 1, "4 columns"),
         ("\nthe door,cam0,12,1,2\n", 2, "one word"),
         ("door,cam0,1.2,1,2\n", 1, "stamp"),
-        ("door,cam0,12,1,nan\n", 1, "no pixel"),
+        ("door,cam0,12,1,nan\n", 1, "not a pixel"),
     ] {
         match read(text).expect_err(text) {
             Error::ClickLine {
