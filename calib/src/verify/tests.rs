@@ -272,7 +272,7 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
     let error = verify(&recording, &other, &config, &no_progress)
         .expect_err("size")
         .to_string();
-    assert!(error.contains("images of 256 × 160"), "{error}");
+    assert!(error.contains("images are 256 × 160"), "{error}");
 }
 
 #[test]

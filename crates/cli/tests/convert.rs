@@ -99,7 +99,7 @@ fn a_trajectory_goes_through_every_format_and_comes_back() {
     refused(
         root,
         "convert positions.txt --to mcap --out no.mcap",
-        "positions only",
+        "only positions",
     );
     refused(root, "convert . --to tum --out no.tum", "name the file");
     refused(

@@ -175,7 +175,11 @@ fn another_sensor_on_the_lidars_port_is_named() {
     refused(
         path,
         &scan,
-        &["of 20 datagrams", "looks like RoboSense", "robosense.mcap"],
+        &[
+            "from 20 datagrams",
+            "looks like RoboSense",
+            "robosense.mcap",
+        ],
     );
     let recording = Recording::open(&path.join("robosense.mcap")).expect("recording");
     assert_eq!(recording.packets("lidar").expect("packets").count(), 20);
@@ -260,7 +264,7 @@ fn models_that_are_not_there_are_refused_by_name() {
         ];
         match model {
             "vlp-32c" => drop(json(path, &scan, 0)),
-            "vlp-16" => refused(path, &scan, &["VLP-32C where a VLP-16 is configured"]),
+            "vlp-16" => refused(path, &scan, &["VLP-32C, but a VLP-16 is configured"]),
             _ => refused(path, &scan, &["but a XT32 is configured"]),
         }
     }
