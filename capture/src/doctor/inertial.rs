@@ -345,7 +345,7 @@ mod tests {
                 let [rates, [x, _, z]] = walk(n);
                 [rates, [x, f64::NAN, z]]
             },
-            "no number",
+            "not numbers",
         );
         fails(
             |n| [[0.0; 3], walk(n)[1]],

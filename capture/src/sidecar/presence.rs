@@ -105,7 +105,12 @@ mod tests {
         );
         assert!(!presence.gave_up(Duration::from_secs(60)) && presence.gave_up(Duration::ZERO));
         assert!(presence.lost().unwrap().contains("phone"));
-        assert!(presence.come("phone", 4).unwrap().contains("and back"));
+        assert!(
+            presence
+                .come("phone", 4)
+                .unwrap()
+                .contains("disconnected for")
+        );
         assert!(presence.sentence().is_none() && presence.lost().is_none());
     }
 }

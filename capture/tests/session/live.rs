@@ -178,7 +178,7 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
     assert_eq!((camera.decoded, camera.missing), (60, 30), "{camera:?}");
     assert_eq!(camera.ending, Ending::EndOfStream);
     assert!(
-        camera.notes.iter().any(|n| n.contains("and back")),
+        camera.notes.iter().any(|n| n.contains("disconnected for")),
         "{camera:?}"
     );
     assert!(report.lost >= 31);

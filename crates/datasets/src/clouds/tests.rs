@@ -163,7 +163,7 @@ fn text_that_is_no_number_is_named_by_its_line() {
         }
     }
     let error = with("a.pcd", "1 2 0.5 255 0.1\n1 2 0.5 255 0.1").expect_err("a third");
-    assert!(error.to_string().contains("3 points where"), "{error}");
+    assert!(error.to_string().contains("3 points, but"), "{error}");
 }
 
 /// Naively seconds of a week were added to the name of a file, or to the time by which it is the n-th.

@@ -102,7 +102,7 @@ mod tests {
         // Before the first, in a gap of a second, and behind the last there is none.
         assert_eq!(found, [(15, 3.0), (30, 8.0)]);
         assert!(
-            collected.notes[0].contains("3 samples"),
+            collected.notes[0].contains("3 gyroscope samples"),
             "{:?}",
             collected.notes
         );

@@ -476,7 +476,7 @@ fn numbers_of_other_units_in_ios_logger_are_refused() {
     };
     let (report, _) = imported(texts("0,0,-1", "20,5,-40", "46.5").path());
     assert_eq!(report.unreadable(), 0);
-    assert!(report.notes.iter().any(|n| n == "no Gyro.txt in it"));
+    assert!(report.notes.iter().any(|n| n == "it has no Gyro.txt"));
     let error = refused(texts("0,0,-9.8", "20,5,-40", "46.5").path());
     assert!(error.contains("median specific force is 96"), "{error}");
     let error = refused(texts("0,0,-1", "2e-5,5e-6,-4e-5", "46.5").path());

@@ -486,7 +486,7 @@ fn databases_of_rosbag2_are_read_alone_and_in_their_folder() {
         .err()
         .expect("another format")
         .to_string();
-    assert!(error.contains("written in protobuf"), "{error}");
+    assert!(error.contains("serialized as protobuf"), "{error}");
 }
 
 #[test]
