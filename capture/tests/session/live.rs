@@ -186,7 +186,7 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
         .join()
         .unwrap()
         .iter()
-        .any(|s| s.level == Level::Error && s.devices[0].problem.contains("gone"));
+        .any(|s| s.level == Level::Error && s.devices[0].problem.contains("disconnected"));
     assert!(gone, "the operator is told");
     let recording = Recording::open(&out).unwrap();
     assert_eq!(recording.images("cam1").unwrap().count(), 30);
