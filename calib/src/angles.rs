@@ -36,7 +36,7 @@ impl Angles {
                 degrees,
                 names: ["rotation x", "rotation y", "rotation z"],
                 remark: Some(
-                    "a rotation vector, since the pitch is near ±90°, where roll and yaw turn about the same axis",
+                    "a rotation vector, since near a pitch of ±90° roll and yaw turn about the same axis",
                 ),
             },
         }

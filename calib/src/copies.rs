@@ -35,12 +35,12 @@ pub(crate) fn copies<'a, K: Copy>(
 pub(crate) fn finding(camera: &str, count: usize, of: usize, example: [&str; 2]) -> Finding {
     let [copy, first] = example;
     let what = format!(
-        "{count} of {of} images are copies of others ({copy} of {first}): each counts once"
+        "{count} of {of} images are duplicates ({copy} of {first}); each image is used once"
     );
     Finding::new("copies", Verdict::Warn, camera, what)
         .value(count as f64, "images")
         .limit(Limit::AtMost(0.0))
-        .remedy("check that the camera does not repeat its images, and that none was copied under another name")
+        .remedy("check that the camera does not repeat images, and that none was copied under another name")
 }
 
 #[cfg(test)]

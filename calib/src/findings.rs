@@ -16,7 +16,7 @@ pub(crate) fn coverage(camera: &str, cells: &[u32], least: f64) -> Finding {
     let limit = Limit::AtLeast(100.0 * least);
     let percent = 100.0 * share;
     let verdict = Verdict::Warn.unless(limit.holds(percent));
-    let seen = format!("corners were seen in {percent:.0} % of the image");
+    let seen = format!("corners cover {percent:.0} % of the image");
     let what = match verdict {
         Verdict::Pass => seen,
         _ => format!("poorly covered: {seen}"),
@@ -34,11 +34,11 @@ pub(crate) fn unseen_corners(camera: &str, cells: &[u32]) -> Option<Finding> {
         return None;
     }
     let what = format!(
-        "nothing was seen in {} of the image: what is said of the lens there is continued from elsewhere",
+        "no corners in {} of the image: the lens is extrapolated there",
         empty.join(", ")
     );
     let finding = Finding::new("image-corners", Verdict::Unknown, camera, what);
-    Some(finding.remedy("show the board there, unless the lens leaves it dark"))
+    Some(finding.remedy("show the board there, unless the lens is dark in that corner"))
 }
 
 /// How many corners a camera's views could not explain.
@@ -54,7 +54,9 @@ pub(crate) fn outliers(camera: &str, outliers: usize, corners: usize) -> Finding
     Finding::new("outliers", verdict, camera, what)
         .value(percent, "%")
         .limit(limit)
-        .remedy("check that the board is flat, hold it still, and have light enough for short exposures")
+        .remedy(
+            "check that the board is flat, hold it still, and use enough light for short exposures",
+        )
 }
 
 /// How views that were held back from the adjustment are met.
@@ -62,7 +64,7 @@ pub(crate) fn holdout(camera: &str, holdout_px: f64, adjusted_px: f64, most_px: 
     let limit = Limit::AtMost(most_px);
     let verdict = Verdict::Warn.unless(limit.holds(holdout_px));
     let what = format!(
-        "holdout views are met to {holdout_px:.2} px, those adjusted to {adjusted_px:.2} px"
+        "reprojection error {holdout_px:.2} px on held-out views, {adjusted_px:.2} px on the others"
     );
     Finding::new("holdout", verdict, camera, what)
         .value(holdout_px, "px")

@@ -21,12 +21,12 @@ pub(crate) fn of_corners(
         div.plots {
             figure {
                 (coverage("corners per part of the image", cells, COVERAGE_CELLS, size_px).draw())
-                figcaption { "Corners per part of the image, dark where there are many; none in red parts" }
+                figcaption { "Corners by part of the image: dark where there are many; red parts have none" }
             }
             (mean_errors(cell_errors_px, size_px))
             figure {
-                (scatter("errors of corners", "px", LARGEST_SHOWN_PX, errors_px).draw())
-                figcaption { "Errors of corners within ±" (LARGEST_SHOWN_PX) " px" }
+                (scatter("reprojection errors", "px", LARGEST_SHOWN_PX, errors_px).draw())
+                figcaption { "Reprojection errors within ±" (LARGEST_SHOWN_PX) " px" }
             }
             figure {
                 (lengths(errors_px))
@@ -60,7 +60,7 @@ pub(crate) fn mean_errors(cell_errors_px: &[[f64; 2]], size_px: [u32; 2]) -> Mar
     html! {
         figure {
             (arrows("mean error per part of the image", &seen, enlarged, size_px).draw())
-            figcaption { "Mean error per part of the image, enlarged: the longest is " (format!("{longest_px:.2}")) " px" }
+            figcaption { "Mean error by part of the image, magnified: the longest is " (format!("{longest_px:.2}")) " px" }
         }
     }
 }

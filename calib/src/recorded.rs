@@ -64,7 +64,7 @@ pub(crate) fn expect_size(
     Err(Error::Parse {
         path: recording.path().display().to_string(),
         problem: format!(
-            "camera {name}: images of {} × {} pixels, the rig's lens is for {} × {}",
+            "camera {name}: images are {} × {} pixels, but the rig's lens is for {} × {}",
             size.0, size.1, mounted.camera.width, mounted.camera.height
         ),
     })

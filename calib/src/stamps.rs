@@ -68,6 +68,6 @@ mod tests {
         assert!(said(50_000, CAMERA_HZ).contains("microseconds"));
         assert!(said(50, CAMERA_HZ).contains("milliseconds"));
         // 1.png, 2.png …: a frame's number once passed for a time.
-        assert!(said(1, CAMERA_HZ).contains("numbers that are 1 apart are no stamps"));
+        assert!(said(1, CAMERA_HZ).contains("numbers that are 1 apart are not stamps"));
     }
 }

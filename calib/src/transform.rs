@@ -66,7 +66,7 @@ impl TransformEdge {
         let length_m = Vector3::from(file.translation_m).norm();
         if !(length_m < FARTHEST_M) {
             return Err(format!(
-                "translation_m is {length_m:.1} m long: lengths are metres, not millimetres"
+                "translation_m is {length_m:.1} m long: lengths are in metres, not millimetres"
             ));
         }
         let covariance = file
@@ -75,7 +75,7 @@ impl TransformEdge {
         if let Some(c) = &covariance {
             let asymmetry = (c - c.transpose()).abs().max();
             if c.cholesky().is_none() || asymmetry > 1e-9 * c.abs().max() {
-                return Err("covariance is not symmetric and positive".to_owned());
+                return Err("covariance is not symmetric positive definite".to_owned());
             }
         }
         Ok(Self {

@@ -28,9 +28,9 @@ const TICK_NS: u64 = 1_000;
 const IMU_PERIOD: Duration = Duration::from_millis(25);
 /// Problems of a unit that sends nothing new.
 const SAME_IMAGE: &str =
-    "the same image again and again: is its lens covered, or the camera frozen?";
-const BLACK: &str = "its image is black: is its cap on, or its exposure too short?";
-const SAME_SAMPLE: &str = "its IMU measures the same again and again: restart it";
+    "keeps sending the same image: is the lens covered, or did the camera freeze?";
+const BLACK: &str = "images are black: is the lens cap on, or the exposure too short?";
+const SAME_SAMPLE: &str = "the IMU keeps sending the same sample: restart it";
 /// Samples of the IMU before the first frame that are kept until it comes: some seconds.
 const MOST_EARLY_SAMPLES: usize = 4_096;
 
@@ -425,17 +425,17 @@ impl CameraStream {
                 self.report.notes.push(format!("{count} {what}"));
             }
         };
-        note(counters.restarts, "times the unit began anew");
+        note(counters.restarts, "restarts of the unit");
         note(
             stale,
-            "times the same image, or the same sample of its IMU, for more than a second",
+            "stretches of more than a second with the same image or the same IMU sample",
         );
         for (name, black) in self.names.iter().zip(&self.black) {
             note(*black, &format!("images of {name} are black"));
         }
         note(
             self.free_running,
-            "frames without external time: their time is fitted to arrival",
+            "frames without external time: their time is estimated from arrivals",
         );
         if let Some(imu) = &self.imu {
             let counters = imu.decoder.counters();

@@ -115,7 +115,7 @@ impl Control {
         if back.is_some() {
             report.interruptions += 1;
             let secs = gone.elapsed().as_secs_f64();
-            report.notes.push(format!("gone for {secs:.1} s, and back"));
+            report.notes.push(format!("disconnected for {secs:.1} s"));
             meter.count(report);
             meter.set_connected(Connection::There);
         }

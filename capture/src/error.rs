@@ -51,7 +51,7 @@ pub enum Error {
     },
     /// Two LiDARs would take each other's packets.
     #[error(
-        "{first} and {second} listen on one port: name the address of each (`sensor`), or give each its own `data` and `position`, there and in the sensor"
+        "{first} and {second} listen on one port: set the address of each (`sensor`), or give each its own `data` and `position`, here and in the sensor"
     )]
     LidarPorts {
         /// One of them.
@@ -69,8 +69,8 @@ pub enum Error {
     },
     /// Packets of two sensors that nothing tells apart.
     #[error(
-        "{lidar}: packets of two sensors{}, more than one sends and out of turn: capture each alone, or give each an address of its own; where only one sent, its packets are of another model or return mode than was forced",
-        address.map_or(String::new(), |ip| format!(" with one address, {ip}"))
+        "{lidar}: packets of two sensors{} are mixed: capture each alone, or give each its own address; if there was only one sensor, its packets are of another model or return mode than the forced one",
+        address.map_or(String::new(), |ip| format!(" at one address, {ip}"))
     )]
     TwoSensors {
         /// The LiDAR that they would be.
@@ -79,17 +79,17 @@ pub enum Error {
         address: Option<std::net::IpAddr>,
     },
     /// The list of devices names none.
-    #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
+    #[error("no device is configured: add at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,
     /// A remark could not be recorded.
-    #[error("the remark was not recorded: {reason}")]
+    #[error("the note was not recorded: {reason}")]
     Remark {
         /// Why.
         reason: &'static str,
     },
     /// The disk has no room for a recording.
     #[error(
-        "{}: room for {:.1} minutes ({:.1} GB at {:.1} MB/s), a recording needs {:.0}; free the disk, name another folder, or set recorder.least_space_secs",
+        "{}: room for {:.1} minutes ({:.1} GB at {:.1} MB/s), but a recording needs {:.0}; free disk space, use another folder, or set recorder.least_space_secs",
         path.display(), secs / 60.0, *free_bytes as f64 / 1e9, bytes_per_sec / 1e6, needed_secs / 60.0
     )]
     NoSpace {

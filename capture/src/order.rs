@@ -46,7 +46,7 @@ impl Order {
         let times = match self.jumps {
             0 if self.standing as f64 > MOST_STANDING * self.stamps as f64 => {
                 return Some(format!(
-                    "repeat the one before {} times of {}: several were given one time",
+                    "repeat the previous one {} times of {}: several got the same time",
                     self.standing, self.stamps
                 ));
             }
@@ -86,7 +86,7 @@ mod tests {
         let batches: Vec<i64> = (0..100).map(|k| 20 * (k / 4)).collect();
         let repeated = problem(&batches).expect("noticed");
         assert!(
-            repeated.starts_with("repeat the one before 75 times of 100"),
+            repeated.starts_with("repeat the previous one 75 times of 100"),
             "{repeated}"
         );
         let mut once: Vec<i64> = (0..100).collect();

@@ -162,7 +162,7 @@ fn check_angles<'a>(
     }
     Err(Error::LidarSettings {
         lidar: lidars.join(", "),
-        problem: "a file of beam angles is of one sensor: read them one by one".to_owned(),
+        problem: "a beam angle file belongs to one sensor: read the sensors one by one".to_owned(),
     })
 }
 

@@ -77,7 +77,7 @@ impl StreamReport {
     pub(crate) fn name_silence(&mut self) {
         if self.received == 0 && !matches!(self.ending, Ending::Lost(_)) {
             self.ending = Ending::Lost(format!(
-                "{} sent nothing; check its power, cable and address",
+                "no data from {}; check its power, cable and address",
                 self.name
             ));
         }

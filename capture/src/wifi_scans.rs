@@ -115,16 +115,13 @@ impl WifiScans {
     pub(crate) fn words(&self) -> String {
         let mut words = format!("{} Wi-Fi scans", self.count);
         if let Some(secs) = self.slowest_secs {
-            words += &format!(", one every {secs:.1} s where they were rarest");
+            words += &format!(", one every {secs:.1} s at the slowest");
         }
         if self.handed_out_again > 0 {
-            words += &format!(
-                "; {} of them hand out old results once more",
-                self.handed_out_again
-            );
+            words += &format!("; {} of them repeat old results", self.handed_out_again);
         }
         if self.were_held_back() {
-            words += ": the phone's system holds scans back";
+            words += ": the phone's system throttles scans";
         }
         words
     }

@@ -167,7 +167,7 @@ fn check(killed: &Killed) {
     let file = findings.clone().find(|f| f.subject == "file").unwrap();
     assert!(
         file.what
-            .contains("a copy that was cut off may lack any length"),
+            .contains("if a copy was truncated, any amount may be missing"),
         "{file:?}"
     );
     let counts = findings.clone().find(|f| f.code == "counts").unwrap();

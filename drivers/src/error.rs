@@ -78,7 +78,7 @@ pub enum Error {
 #[non_exhaustive]
 pub enum WireError {
     /// Too short, too long, or a length field that does not fit the bytes.
-    #[error("{got} bytes where {expected} were expected")]
+    #[error("{got} bytes, expected {expected}")]
     Length {
         /// Bytes the message needs.
         expected: usize,
@@ -86,7 +86,7 @@ pub enum WireError {
         got: usize,
     },
     /// A constant of the format is not there: a flag, a preamble, a version.
-    #[error("byte {offset}: {got:#x} where {expected:#x} was expected")]
+    #[error("byte {offset}: {got:#x}, expected {expected:#x}")]
     Constant {
         /// Where in the message.
         offset: usize,
@@ -96,7 +96,7 @@ pub enum WireError {
         got: u32,
     },
     /// The checksum does not match the bytes.
-    #[error("checksum {got:#x} where the bytes give {expected:#x}")]
+    #[error("checksum {got:#x}, but the bytes give {expected:#x}")]
     Checksum {
         /// Computed from the bytes.
         expected: u32,

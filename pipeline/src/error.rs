@@ -18,7 +18,7 @@ pub enum Error {
     #[error(transparent)]
     Setting(#[from] lsfb_types::OutOfBounds),
     /// A camera is used that the rig does not have.
-    #[error("camera {camera} is not on rig {rig}: give the rig file that belongs to these images")]
+    #[error("rig {rig} has no camera {camera}: give the rig file that belongs to these images")]
     UnknownCamera {
         /// The camera asked for.
         camera: String,
@@ -40,7 +40,7 @@ pub enum Error {
     },
     /// An image is not as large as its camera's images are.
     #[error(
-        "{path}: {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the intrinsics for images of this size, or the images as the camera took them", path = path.display(),
+        "{path}: {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the intrinsics for images of this size, or the original images", path = path.display(),
         found_width = found_px[0], found_height = found_px[1], width = expected_px[0], height = expected_px[1]
     )]
     ImageSize {
@@ -119,7 +119,7 @@ pub enum Error {
         reason: String,
     },
     /// More descriptors than an index has numbers for.
-    #[error("{count} descriptors are more than one index can hold (4294967295): split the map")]
+    #[error("{count} descriptors are too many for one index (at most 4294967295): split the map")]
     TooManyDescriptors {
         /// Number of descriptors.
         count: usize,
@@ -134,7 +134,7 @@ pub enum Error {
     },
     /// A view of a walk that is of none of its frames or cameras, or out of their order.
     #[error(
-        "view {view} of the walk is of no frame or camera that it has, or not in their order, or has keypoints without descriptors"
+        "view {view} of the walk belongs to none of its frames or cameras, is out of order, or has keypoints without descriptors"
     )]
     UnknownView {
         /// Its number.
@@ -142,7 +142,7 @@ pub enum Error {
     },
     /// Too few descriptors to train a codebook on.
     #[error(
-        "{count} descriptors are too few for a codebook, which needs {needed}: give more images, or ask for fewer words"
+        "{count} descriptors are too few for a codebook, which needs {needed}: give more images, or use fewer words"
     )]
     FewDescriptors {
         /// Number of descriptors.
@@ -154,7 +154,7 @@ pub enum Error {
     #[error(transparent)]
     Network(#[from] lsfb_networks::Error),
     /// A file of weights holds others than are asked for.
-    #[error("{path}: holds {found}, not {expected}: add the right weights with `lsfb models add`", path = path.display())]
+    #[error("{path}: contains {found}, not {expected}: add the right weights with `lsfb models add`", path = path.display())]
     OtherWeights {
         /// The file.
         path: PathBuf,
@@ -165,7 +165,7 @@ pub enum Error {
     },
     /// Descriptors of one feature are to be looked up among those of another.
     #[error(
-        "the map holds {map} features, the images have {images}: their descriptors cannot be compared; localize with the map's feature, or map again with the other"
+        "the map holds {map} features, the images have {images}, and their descriptors cannot be compared: localize with the map's feature, or map again with the other"
     )]
     WrongFeature {
         /// The map's.
@@ -198,11 +198,11 @@ pub enum Error {
         reason: String,
     },
     /// No point of a map lies in a region.
-    #[error("no point of the map lies in that region: `lsfb map info` says where they lie")]
+    #[error("no point of the map lies in that region: `lsfb map info` shows its extent")]
     EmptyRegion,
     /// A map cannot be made so small.
     #[error(
-        "so small a map would show {points} points in the image of {camera} in keyframe {keyframe} ({time} s), and fewer than {needed} are too few to be found by there: give {smallest_mb:.2} MB or more, crop the map, or lower fewest_points_per_view"
+        "a map that small would show only {points} points in the image of {camera} in keyframe {keyframe} ({time} s), and {needed} are needed to localize there: give {smallest_mb:.2} MB or more, crop the map, or lower fewest_points_per_view"
     )]
     MapBudget {
         /// The keyframe that would be worst off.
@@ -220,7 +220,7 @@ pub enum Error {
     },
     /// Two maps are not surely of one place.
     #[error(
-        "the maps do not surely meet: {}: check that both are in one unit, merge maps that overlap more, or whose overlap looks like no other place",
+        "the maps could not be aligned reliably: {}: check that both are in the same unit, merge maps that overlap more, or whose overlap does not look like another place",
         how_they_meet([*pairs, *shared, *rival], *sigma_m, *scale_shift_m)
     )]
     MapsDoNotMeet {
@@ -237,7 +237,7 @@ pub enum Error {
     },
     /// Nothing tells how far the images of a map are from where its points place them.
     #[error(
-        "no image of the map shows {needed} points that others of its images show too: nothing tells how exact the map is, nor any pose in it; make the map of more images, or cut out a larger part"
+        "no image of the map shows {needed} points that other images of it show too, so that neither the accuracy of the map nor that of any pose in it can be determined; make the map from more images, or crop a larger part"
     )]
     MapErrorUnknown {
         /// Points that an image must share.
@@ -245,7 +245,7 @@ pub enum Error {
     },
     /// Two maps are of the same images.
     #[error(
-        "{points} of {shared} points that the maps share were seen in the same images at the same pixels: one is a part of the other, or both were made of one recording. Joined, each observation would count twice: merge maps of different recordings, and crop a map from the whole one"
+        "{points} of {shared} shared points were seen in the same images at the same pixels: one map is part of the other, or both were made from one recording, and each observation would count twice. Merge maps of different recordings, and crop a map from the whole one"
     )]
     SameImages {
         /// Points with an observation that both maps have.
@@ -255,12 +255,12 @@ pub enum Error {
     },
     /// Two maps of which the second alone stands in a surveyed frame.
     #[error(
-        "the second map stands in a surveyed frame and the first does not, whose frame the result would have: name the surveyed map first"
+        "the second map has a surveyed frame but the first does not, and the result keeps the frame of the first: name the surveyed map first"
     )]
     SurveyedSecond,
     /// Two surveyed maps that do not agree where they are.
     #[error(
-        "both maps stand in surveyed frames, and their points put the second {shift_m:.3} m beside where its survey has it (at most {most_m} m is believed): the surveys are not of one frame, or one map's control points are wrong"
+        "both maps have surveyed frames, but their common points shift the second by {shift_m:.3} m from its survey (at most {most_m} m is accepted): the surveys use different frames, or the control points of one map are wrong"
     )]
     SurveysDisagree {
         /// How far the alignment moves a keyframe of the second from its surveyed place at most, metres.
@@ -269,7 +269,9 @@ pub enum Error {
         most_m: f64,
     },
     /// Images give no map, or one in which nobody would be found.
-    #[error("{points} map points are seen in three images or more, {needed} are needed: {reason}")]
+    #[error(
+        "{points} map points are seen in three or more images, but {needed} are needed: {reason}"
+    )]
     TooFewPoints {
         /// Points there are.
         points: usize,
@@ -294,7 +296,7 @@ pub enum Error {
     },
     /// Scans came out of order.
     #[error(
-        "a LiDAR scan ends at {time} s, not after the one before it ({previous} s): sort the scans by time"
+        "a LiDAR scan ends at {time} s, before the end of the previous one ({previous} s): sort the scans by time"
     )]
     ScanOrder {
         /// End of the scan.
@@ -312,7 +314,7 @@ pub enum Error {
     },
     /// The IMU is to take part in Eq. (4), and there is none.
     #[error(
-        "{path}: Eq. 4 is to take the IMU (imu = true under [terms]), but {reason}: map a recording that has an IMU with a rig file that states its noise, or set imu = false", path = path.display()
+        "{path}: Eq. 4 cannot use the IMU (imu = true under [terms]): {reason}; map a recording that has an IMU with a rig file that states its noise, or set imu = false", path = path.display()
     )]
     NoImuTerm {
         /// The recording.
@@ -342,13 +344,13 @@ pub enum Error {
     #[error("optimisation: {0}")]
     Solver(#[from] lsfb_solver::Error),
     /// One scan has nothing to be compared with.
-    #[error("{scans} scans: poses are refined by what two or more scans see")]
+    #[error("{scans} scans are too few: refining poses needs two or more that overlap")]
     TooFewScans {
         /// How many there are.
         scans: usize,
     },
     /// No image lies within the trajectory.
-    #[error("{path}: no image was taken between the first and the last LiDAR scan: check the cameras' clock against the LiDAR's", path = path.display())]
+    #[error("{path}: no image was taken between the first and the last LiDAR scan: compare the cameras' clock with the LiDAR's", path = path.display())]
     NoKeyframe {
         /// The recording.
         path: PathBuf,
@@ -358,7 +360,7 @@ pub enum Error {
     Recording(#[from] lsfb_recording::Error),
     /// The first scan came before any inertial sample.
     #[error(
-        "no inertial sample before {time} s: start the odometry without IMU, or with scans the IMU covers"
+        "no IMU sample before {time} s: start the odometry without the IMU, or with scans that the IMU covers"
     )]
     ImuMissing {
         /// End of the scan.
@@ -366,7 +368,7 @@ pub enum Error {
     },
     /// A walk that does not see the map.
     #[error(
-        "{path}: {localized} of {frames} images could be found in the map, {needed} are needed: is it the map of this place, and the rig file of this device?", path = path.display()
+        "{path}: {localized} of {frames} images were localized in the map, but {needed} are needed: is it the map of this place, and the rig file of this device?", path = path.display()
     )]
     NotLocalized {
         /// The recording.
@@ -379,7 +381,7 @@ pub enum Error {
         needed: usize,
     },
     /// A walk that another one is to be solved together with is refused by itself.
-    #[error("{path}, which is to be solved together with it: {error}", path = path.display())]
+    #[error("{path}, which was to be solved together with it: {error}", path = path.display())]
     OtherWalk {
         /// Its recording.
         path: PathBuf,
@@ -387,7 +389,7 @@ pub enum Error {
         error: Box<Error>,
     },
     /// A walk that is to be solved together with others is found wrong by itself.
-    #[error("{path}: not to be used, and neither is what is solved together with it: {what}", path = path.display())]
+    #[error("{path}: it must not be used, and neither must the walks solved together with it: {what}", path = path.display())]
     FailedAlone {
         /// The recording.
         path: PathBuf,
@@ -396,7 +398,7 @@ pub enum Error {
     },
     /// Places found in the map contradict the IMU and one another.
     #[error(
-        "{path}: {rejected} of {localized} places found in the map contradict the IMU: is it the map of this place, and do cameras and IMU of the rig file belong to this device?", path = path.display()
+        "{path}: {rejected} of {localized} localized poses contradict the IMU: is it the map of this place, and do the cameras and the IMU of the rig file belong to this device?", path = path.display()
     )]
     MapDisagrees {
         /// The recording.
@@ -408,7 +410,7 @@ pub enum Error {
     },
     /// Places found in the map explain the walk in more than one way.
     #[error(
-        "{path}: {agreeing} places found in the map agree with the IMU, and {rival} others agree with it and one another somewhere else: the map has places that look alike, and this walk does not tell them apart; walk on to where the place is unmistakable, or map the other place too", path = path.display()
+        "{path}: {agreeing} localized poses agree with the IMU, but {rival} others agree with it and with each other in another place: the map has places that look alike, and this walk does not distinguish them; extend the walk to a place that is unique, or map the other place too", path = path.display()
     )]
     AmbiguousPlace {
         /// The recording.
@@ -419,14 +421,14 @@ pub enum Error {
         rival: usize,
     },
     /// Files are named by cameras.
-    #[error("a camera is called {name:?}: files are named by cameras, and this is no name for one")]
+    #[error("camera name {name:?} cannot be used as a file name: rename the camera in the rig")]
     CameraName {
         /// Its name.
         name: String,
     },
     /// The whole walk fits the map nearly as well somewhere else.
     #[error(
-        "{path}: {} points of the map are found where this walk has them, and {} if all of it were {:.1} m away and turned by {:.0}°: the map has places that look alike, and this walk does not tell them apart (min_place_margin is {margin}); walk on to where the place is unmistakable", matches_here, matches_there, away_m, turn_deg, path = path.display()
+        "{path}: {} map points are found where this walk is, and {} if all of it were {:.1} m away and rotated by {:.0}°: the map has places that look alike, and this walk does not distinguish them (min_place_margin is {margin}); extend the walk to a place that is unique", matches_here, matches_there, away_m, turn_deg, path = path.display()
     )]
     LooksAlike {
         /// The recording.
@@ -444,7 +446,7 @@ pub enum Error {
     },
     /// Much of what the map says should be in view is not there.
     #[error(
-        "{path}: {points} points of the map that should be in view were looked for, and {absent_percent:.1} % of what they say is that they are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
+        "{path}: {points} map points that should be in view were searched for, and {absent_percent:.1} % of the evidence says that they are absent (max_absent_share is {limit}): the place has changed since it was mapped, or it is another place built alike, such as another floor; map it again, or raise the limit if no other place looks like it", path = path.display()
     )]
     PointsAbsent {
         /// The recording.
@@ -458,7 +460,7 @@ pub enum Error {
     },
     /// Nothing in a walk without a map tells scale and gravity.
     #[error(
-        "none of {frames} frames begins a motion that tracks and IMU agree on: begin at rest for half a second, or move by a hand's breadth and more while something with texture is in view"
+        "no motion could be initialized from any of {frames} frames: begin at rest for half a second, or move by at least a hand's breadth while something with texture is in view"
     )]
     NoBeginning {
         /// Frames that were looked at.
@@ -466,7 +468,7 @@ pub enum Error {
     },
     /// Tracks and IMU contradict each other.
     #[error(
-        "{:.0} % of what was followed in the images fits no point (at most {:.0} %): check the IMU's axes and units, the cameras' lenses and places on it, and both clocks", 100.0 * share, 100.0 * limit
+        "{:.0} % of the tracked features fit no point (at most {:.0} %): check the IMU's axes and units, the cameras' lenses and poses on the IMU, and both clocks", 100.0 * share, 100.0 * limit
     )]
     TracksContradict {
         /// Share of the followed sights.
@@ -476,7 +478,7 @@ pub enum Error {
     },
     /// Images turn another way than the gyroscope says.
     #[error(
-        "where the gyroscope of the IMU turns by 1 about its {axis} axis, the images turn by {x:+.2}, {y:+.2}, {z:+.2} about x, y, z: check the IMU's axes, their signs and units, and the cameras' places on it in the rig file",
+        "where the gyroscope rotates by 1 about its {axis} axis, the images rotate by {x:+.2}, {y:+.2}, {z:+.2} about x, y, z: check the IMU's axes, their signs and units, and the camera poses on the IMU in the rig file",
         x = images[0], y = images[1], z = images[2]
     )]
     GyroContradicts {
@@ -487,7 +489,7 @@ pub enum Error {
     },
     /// The map was judged a failure when it was made.
     #[error(
-        "the map failed when it was made: {}; mend that and map the place again, or set accept_failed_map if that does not matter to you", failures.join("; ")
+        "the map failed its checks when it was made: {}; fix that and map the place again, or set accept_failed_map if it does not matter", failures.join("; ")
     )]
     FailedMap {
         /// What was found, a sentence each.
@@ -495,7 +497,7 @@ pub enum Error {
     },
     /// No pose of a walk is certain enough.
     #[error(
-        "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m; attitudes must be known to 1.1°): walk where more of the map is in view, or allow more", path = path.display()
+        "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m; attitudes to 1.1°): walk where more of the map is in view, or raise the limit", path = path.display()
     )]
     NothingCertain {
         /// The recording.
@@ -507,7 +509,7 @@ pub enum Error {
     },
     /// No pose of a walk without a map sees enough and is certain enough.
     #[error(
-        "none of {frames} poses sees enough (min_sights is {min_sights}) and is certain enough (max_position_sigma_m is {limit_m} m): light the place, keep the lenses free, and look at things with texture"
+        "none of {frames} poses has enough observations (min_sights is {min_sights}) and is certain enough (max_position_sigma_m is {limit_m} m): light the place, keep the lenses free, and look at objects with texture"
     )]
     NothingFollowed {
         /// Poses that were found.
@@ -519,7 +521,7 @@ pub enum Error {
     },
     /// The motion of a walk was found, but not how far it may be off.
     #[error(
-        "how far each of {frames} poses may be off cannot be told: check the IMU's noise in the rig file ({problem})"
+        "the covariance of {frames} poses could not be computed: check the IMU's noise in the rig file ({problem})"
     )]
     UnknownCovariance {
         /// Poses that were found.
@@ -529,7 +531,7 @@ pub enum Error {
     },
     /// Parts of the map place a walk differently.
     #[error(
-        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here, or the place is not as it was mapped; map the place again with more views of it, or walk where more of the map is in view", path = path.display()
+        "{path}: with half of the map's points withheld, the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here, or the place has changed since it was mapped; map the place again with more views of it, or walk where more of the map is in view", path = path.display()
     )]
     MapPartsDisagree {
         /// The recording.
@@ -543,7 +545,7 @@ pub enum Error {
     },
     /// A sensor of the IMU says the same all along.
     #[error(
-        "the {sensor} repeats one reading for {secs:.1} s of {of_secs:.1} s, though the device moves: it measures nothing; check the IMU and its driver, and record again"
+        "the {sensor} repeats one reading for {secs:.1} s of {of_secs:.1} s although the device moves: check the IMU and its driver, and record again"
     )]
     FrozenSensor {
         /// Which of the two.
@@ -555,7 +557,7 @@ pub enum Error {
     },
     /// An axis of the accelerometer does not read what is felt along it.
     #[error(
-        "{path}: where the accelerometer reads 1 along its {axis} axis, the device feels {x:+.2}, {y:+.2}, {z:+.2} along x, y, z by the places at which its images were found: check the accelerometer's axes, their signs and units, and the IMU's place in the rig file", path = path.display(), x = felt[0], y = felt[1], z = felt[2]
+        "{path}: where the accelerometer reads 1 along its {axis} axis, the localized images give {x:+.2}, {y:+.2}, {z:+.2} along x, y, z: check the accelerometer's axes, their signs and units, and the IMU's pose in the rig file", path = path.display(), x = felt[0], y = felt[1], z = felt[2]
     )]
     AccelContradicts {
         /// The recording.
@@ -567,7 +569,7 @@ pub enum Error {
     },
     /// Parts of the map place a walk differently, and its IMU is not what the recording says.
     #[error(
-        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m, and images and IMU contradict each other: {imu}", path = path.display()
+        "{path}: with half of the map's points withheld, the {frames} poses move by {moved_m:.2} m, and images and IMU contradict each other: {imu}", path = path.display()
     )]
     ImuContradicts {
         /// The recording.
@@ -581,7 +583,7 @@ pub enum Error {
     },
     /// Next to nothing of a walk was recognised on its own, and nothing else tells whether the map has it where it was.
     #[error(
-        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), {points} points of the map that should be in view say too little to tell ({absent_percent:.0} % of it that they are not there), and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map's, or the map has too little of where the walk went; check whether it is the map of this place, and map it from where the walk goes", path = path.display()
+        "{path}: {recognised} of {frames} images were recognised on their own (min_recognised_share is {needed_share}), the {points} map points that should be in view are not conclusive ({absent_percent:.0} % of the evidence says that they are absent), and with half of the map's points withheld the poses move by {moved_m:.2} m: this is another place that has something in common with the map, or the map covers too little of the walk; check that it is the map of this place, and map it along the walk", path = path.display()
     )]
     FewRecognised {
         /// The recording.
@@ -601,7 +603,7 @@ pub enum Error {
     },
     /// A least-squares problem kept moving.
     #[error(
-        "{stage}: no minimum after {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"
+        "{stage}: did not converge within {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"
     )]
     NotConverged {
         /// What was solved.
@@ -611,7 +613,7 @@ pub enum Error {
     },
     /// The IMU leaves a time open that is to be integrated over.
     #[error(
-        "no IMU samples from {from} s to {to} s: at most {longest_secs} s may be missing, record the IMU without pauses"
+        "no IMU samples from {from} s to {to} s (the longest gap allowed is {longest_secs} s): record the IMU without gaps"
     )]
     ImuGap {
         /// Last instant before the gap.
@@ -658,7 +660,7 @@ pub enum Error {
         reason: String,
     },
     /// A trajectory to start from is not that of the recording.
-    #[error("{path}: {share:.0} % of its scans lie within the trajectory to start from: give one of this very recording", path = path.display(), share = 100.0 * share)]
+    #[error("{path}: only {share:.0} % of its scans lie within the initial trajectory: give the trajectory of this recording", path = path.display(), share = 100.0 * share)]
     StartElsewhere {
         /// The recording.
         path: PathBuf,
@@ -666,13 +668,13 @@ pub enum Error {
         share: f64,
     },
     /// A loop is of a scan that has no pose.
-    #[error("no scan has a pose at {time} s: give the loops of this walk")]
+    #[error("no scan has a pose at {time} s: give the loop list of this walk")]
     UnknownScan {
         /// End of the scan.
         time: Timestamp,
     },
     /// A loop is to be closed that was not measured.
-    #[error("the loop from {earlier} s to {later} s was not measured: reject it, or give its pose")]
+    #[error("the loop from {earlier} s to {later} s was not measured: reject it, or add its pose")]
     LoopNotMeasured {
         /// End of the earlier scan.
         earlier: Timestamp,
@@ -686,10 +688,10 @@ pub enum Error {
 
 fn how_they_meet([pairs, shared, rival]: [usize; 3], sigma_m: f64, scale_shift_m: f64) -> String {
     if !sigma_m.is_finite() {
-        return format!("the {pairs} points that look alike fit no alignment together");
+        return format!("the {pairs} points that look alike do not fit any common alignment");
     }
     format!(
-        "of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m, another scale of the second map moves it by {scale_shift_m:.3} m"
+        "of {pairs} points that look alike, {shared} fit one alignment and {rival} another; the best is uncertain by {sigma_m:.3} m, and another scale of the second map moves it by {scale_shift_m:.3} m"
     )
 }
 
@@ -706,7 +708,7 @@ pub enum MapShortage {
     },
     /// Nothing is seen from two places.
     #[error(
-        "no two of the {images} images look the same way from different places: move between them, turning alone gives no depth"
+        "no two of the {images} images see the same thing from different positions: move between images, since rotation alone gives no depth"
     )]
     NoBaseline {
         /// Images.
@@ -714,7 +716,7 @@ pub enum MapShortage {
     },
     /// What images share does not agree with their poses.
     #[error(
-        "too little of what {images} images share agrees with their poses: do they overlap, are the poses those of the cameras (world from camera, z forward), and is the calibration theirs?"
+        "too few matches between {images} images agree with their poses: do they overlap, are these camera poses (world from camera, z forward), and does the calibration belong to them?"
     )]
     Disagreement {
         /// Images.

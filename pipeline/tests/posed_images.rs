@@ -359,7 +359,7 @@ fn broken_lists_are_named() {
     };
     let turned = r#""transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"#;
     for (text, expected) in [
-        ("{".to_owned(), "no JSON"),
+        ("{".to_owned(), "not a JSON"),
         ("{}".to_owned(), "frames"),
         (r#"{"frames": []}"#.to_owned(), "none of its 0 images"),
         (
@@ -392,7 +392,7 @@ fn broken_lists_are_named() {
         let path = scratch.path().join(name);
         let bytes = fs::read(&path).expect("its own");
         for (broken, expected) in [
-            (&bytes[..bytes.len() - 3], "cut off"),
+            (&bytes[..bytes.len() - 3], "truncated"),
             (&[&bytes[..], b"more"].concat()[..], "too many"),
         ] {
             fs::write(&path, broken).expect("written");

@@ -122,7 +122,7 @@ fn another_device_at_the_path_is_an_error_that_names_it() {
     };
     let error = MyntDImu::open(&config).unwrap_err().to_string();
     assert!(
-        error.contains("0483:1234 is here where 0483:5720"),
+        error.contains("found 0483:1234, expected 0483:5720"),
         "{error}"
     );
 }

@@ -322,14 +322,14 @@ fn what_the_unit_does_not_have_is_refused() {
                 serial: "OTHER".to_owned(),
                 ..config.clone()
             },
-            "unit 07C41A19 is here where OTHER is configured",
+            "found unit 07C41A19, but OTHER is configured",
         ),
         (
             CameraConfig {
                 options: vec![(CameraOption::ImuFrequency, 9000)],
                 ..config.clone()
             },
-            "refuses query 0x01 of selector 1",
+            "rejected query 0x01 of selector 1",
         ),
     ] {
         let error = open(change);
@@ -428,7 +428,7 @@ fn manual_exposure_goes_through_the_controls_of_the_node() {
     assert_eq!(camera.option(CameraOption::ExposureMode).unwrap(), 1);
     drop(camera);
     let error = MyntCamera::open(&with(2_000)).unwrap_err().to_string();
-    assert!(error.contains("refuses its control Gain"), "{error}");
+    assert!(error.contains("rejected its control Gain"), "{error}");
 }
 
 /// A unit that also tells about 20 samples of its IMU, in the protocol of its spec.

@@ -62,7 +62,7 @@ impl Target {
             (_, "checkerboard") => {
                 let square_m = number("rowSpacingMeters")?;
                 if number("colSpacingMeters")? != square_m {
-                    return Err("rowSpacingMeters differs from colSpacingMeters: only square checkers are known".into());
+                    return Err("rowSpacingMeters differs from colSpacingMeters: only square checkers are supported".into());
                 }
                 Target::Checkerboard {
                     columns: count("targetCols")?,
@@ -110,7 +110,7 @@ impl Target {
             .find(|(key, _)| **key != "target_type" && !known.contains(key));
         if let Some((key, (line, _))) = unknown {
             return Err(format!(
-                "line {line}: {key} is not understood: target_type, {} are",
+                "line {line}: {key} is unknown; expected target_type, {}",
                 known.join(", ")
             ));
         }
@@ -196,7 +196,7 @@ mod tests {
             ("nonsense", "line 1: expected"),
             (
                 "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\ntagFamily: tag25h9",
-                "line 6: tagFamily is not understood",
+                "line 6: tagFamily is unknown",
             ),
             (
                 "target_type: aprilgrid # mine\ntagCols: 60\ntagRows: 60\ntagSize: 1\ntagSpacing: 0.3",

@@ -40,7 +40,7 @@ impl<const N: usize> Batch<N> {
             let names = start.camera.lens.model().parameter_names();
             let what = match found.block {
                 block if block == lens.id() => names.get(found.component).copied(),
-                block if block == pose.id() => Some("its pose on the rig"),
+                block if block == pose.id() => Some("its pose in the rig"),
                 _ => continue,
             };
             return [start.views.name.as_str(), what.unwrap_or_default()].map(str::to_owned);

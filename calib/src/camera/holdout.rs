@@ -145,7 +145,7 @@ impl Solved<'_> {
             Some(best) if is_better(&own.squares, &best.squares) => {
                 let better = best.camera.lens.model().name();
                 let what = format!(
-                    "the lens model does not fit: on holdout views {} leaves {:.3} px and {better} {:.3} px, {percent:.0} % of its squares one pattern over the image",
+                    "the lens model does not fit: on held-out views {} has a reprojection error of {:.3} px and {better} {:.3} px; {percent:.0} % of the squared residuals form one pattern over the image",
                     model.name(),
                     own.rms_px(),
                     best.rms_px(),
@@ -159,10 +159,10 @@ impl Solved<'_> {
             }
             _ if pattern > UNEXPLAINED_PATTERN => {
                 let what = format!(
-                    "{percent:.0} % of the squares on holdout views are one pattern over the image, and no lens model explains it"
+                    "{percent:.0} % of the squared residuals on held-out views form one pattern over the image, and no lens model explains it"
                 );
                 Some(finding(what).remedy(
-                    "look for glass in front of the lens, a focus or zoom that moved, or a board that is bent",
+                    "look for glass in front of the lens, a changed focus or zoom, or a bent board",
                 ))
             }
             _ => None,

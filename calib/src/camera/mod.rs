@@ -289,7 +289,7 @@ impl CameraCalibration {
                 && exchanged < NEARER * as_named
             {
                 let what = format!(
-                    "{} and {} stand to each other as the rig has them the other way round: their views are swapped, or their names",
+                    "{} and {} are swapped compared with the rig: their views or their names",
                     first.name, c.name
                 );
                 let finding = Finding::new("swapped", Verdict::Warn, &c.name, what);
@@ -326,7 +326,7 @@ fn swapped(cameras: &[CalibratedCamera]) -> Option<Finding> {
     let left_from_right = left.camera_from_first * right.camera_from_first.inverse();
     (left_from_right.translation.x < 0.0).then(|| {
         let what = format!(
-            "{} stands to the left of {}: their views are swapped, or their names",
+            "{} is to the left of {}: their views or their names are swapped",
             right.name, left.name
         );
         let finding = Finding::new("swapped", Verdict::Warn, &right.name, what);

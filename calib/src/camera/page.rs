@@ -47,12 +47,12 @@ fn focal_length(c: &CalibratedCamera) -> String {
     let change = format!("{:+.2} %", 100.0 * c.board.focal_change);
     if c.board.is_likely {
         return format!(
-            "Focal length: ± {:.2} %, with a board in it that is bent by {bend}, as these views make likely; it would change by {change} with that one.",
+            "Focal length: ± {:.2} %, including a board bent by {bend}, which these views make likely; correcting for the bend would change it by {change}.",
             100.0 * sigma
         );
     }
     format!(
-        "Focal length if the board is flat: ± {:.2} %; if it may be bent by 2 mm and stretched by 0.1 %: ± {:.2} %, and {change} with the bend of {bend} that these views have best.",
+        "Focal length: ± {:.2} % for a flat board, ± {:.2} % for one that may be bent by 2 mm and stretched by 0.1 %. These views fit best with a bend of {bend}, which would change it by {change}.",
         100.0 * sigma,
         100.0 * c.board.focal_sigma.hypot(sigma)
     )
@@ -74,13 +74,13 @@ fn section(c: &CalibratedCamera) -> Markup {
         section {
             h2 { (c.name) ", " (c.camera.lens.model().name()) }
             p {
-                "Found in " (c.found) " of " (c.images) " images, " (c.views) " of them adjusted: "
+                "Found in " (c.found) " of " (c.images) " images, " (c.views) " of them used: "
                 (c.corners) " corners, " (c.outliers) " outliers, "
                 (format!("{:.3}", c.rms_px)) " px rms (" (format!("{:.3}", c.inlier_rms_px)) " px without outliers"
-                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on holdout views" }
+                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on held-out views" }
                 ")."
             }
-            p { (focal_length(c)) " Views tilted by 30° about both axes, near and far, tell focal length from distance." }
+            p { (focal_length(c)) " Views tilted by 30° about both axes, near and far, separate focal length from distance." }
             (scroll(&parameters))
             (plots::of_corners(&c.cells, &c.cell_errors_px, &c.errors_px, [c.camera.width, c.camera.height]))
         }

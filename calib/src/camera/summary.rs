@@ -195,11 +195,11 @@ impl Solved<'_> {
             let limit = Limit::AtMost(WORSE_TOGETHER * alone_px);
             let verdict = Verdict::Warn.unless(limit.holds(inlier_rms_px));
             let what = format!(
-                "alone it meets corners to {alone_px:.2} px, together with the other cameras to {inlier_rms_px:.2} px"
+                "reprojection error {alone_px:.2} px alone, {inlier_rms_px:.2} px together with the other cameras"
             );
             let together = Finding::new("together", verdict, name, what);
             found.push(together.value(inlier_rms_px, "px").limit(limit).remedy(
-                "check that the cameras are triggered together, that their stamps are right, and that none is loose",
+                "check that the cameras are triggered together, that their stamps are right, and that no camera is loose",
             ));
         }
         let holdout_rms_px = holdout.as_ref().map(|h| h.rms_px);

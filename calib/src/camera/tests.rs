@@ -358,7 +358,7 @@ fn left_and_right_that_are_swapped_are_warned_of() {
         let findings = found.expect("calibrated").cameras[1].findings.clone();
         findings
             .iter()
-            .any(|f| f.what.contains("their views are swapped"))
+            .any(|f| f.what.contains("their views or their names are swapped"))
     };
     views[0].name = "right".into();
     views[1].name = "left".into();
@@ -582,7 +582,7 @@ fn cameras_exchanged_half_way_are_refused() {
         .expect_err("exchanged")
         .to_string();
     assert!(
-        error.contains("their images are exchanged at 12 of 30 instants, from 18 to 29"),
+        error.contains("their images are swapped at 12 of 30 instants, from 18 to 29"),
         "{error}"
     );
 }

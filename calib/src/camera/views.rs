@@ -99,8 +99,8 @@ fn numbered(folder: &Path, prefix: &str) -> Result<Vec<(i64, PathBuf)>, Error> {
         return Err(Error::Parse {
             path: folder.display().to_string(),
             problem: match in_folder {
-                0 => "no image in this folder: JPEG, PNG and BMP files are read".to_owned(),
-                n => format!("none of its {n} images has a name that begins with {prefix}"),
+                0 => "no image in this folder: expected JPEG, PNG or BMP files".to_owned(),
+                n => format!("no name of its {n} images begins with {prefix}"),
             },
         });
     }
@@ -234,7 +234,7 @@ fn gather(name: &str, target: &Target, looked: Vec<Looked>) -> Result<CameraView
             return Err(Error::Parse {
                 path: format!("camera {name}"),
                 problem: format!(
-                    "image {} is {} × {} pixels, those before it {width} × {height}: one camera has one size",
+                    "image {} is {} × {} pixels, but earlier ones are {width} × {height}: all images of a camera must have the same size",
                     l.instant, l.width, l.height
                 ),
             });

@@ -164,7 +164,7 @@ impl RigEstimate {
             let parameters = camera.camera.lens.parameters();
             let values: SVector<f64, MAX_PARAMETERS> = parameters.values.into();
             let lens = problem.add_block(values);
-            problem.set_name(pose.id(), format!("{} on the rig", camera.name));
+            problem.set_name(pose.id(), format!("{} in the rig", camera.name));
             problem.set_name(clock.id(), format!("{} clock", camera.name));
             problem.set_component_names(clock.id(), &["offset", "drift"]);
             problem.set_name(readout.id(), format!("{} readout", camera.name));

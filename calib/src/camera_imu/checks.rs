@@ -142,7 +142,7 @@ impl CameraImuCalibration {
                 && distance < 1.0
             {
                 let what = format!(
-                    "found where the rig has {other}: their images are swapped, or their names"
+                    "was found where the rig has {other}: their images or their names are swapped"
                 );
                 let finding = Finding::new("swapped", Verdict::Warn, &*c.name, what);
                 let remedy = "check which images belong to which camera";
@@ -182,7 +182,7 @@ pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> 
     };
     let share = gravity_in_target.try_normalize(1e-9)?.dot(&up);
     (share > 0.5).then(|| {
-        let what = "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom";
+        let what = "the board hangs upside down: the calibration is valid, but wherever the board is used as a landmark, its top is now its bottom";
         Finding::new("upside-down", Verdict::Warn, "board", what).remedy("turn the board")
     })
 }

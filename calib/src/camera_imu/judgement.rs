@@ -63,14 +63,14 @@ pub(super) fn size(target: &Target, excess: &BoardExcess, is_measured: bool) -> 
             .limit(Limit::AtMost(100.0 * limit))
     };
     if !is_measured {
-        let what = "its size is not checked: corners miss for another reason".to_owned();
+        let what = "board size not checked: the reprojection error has another cause".to_owned();
         return Finding::new("board-size", Verdict::Unknown, "board", what);
     }
     let (size, chance) = (excess.share.abs(), DEVIATIONS * excess.sigma);
     if size > WORRYING_SIZE.max(chance) {
         let is_failed = size > FAILED_SIZE.max(chance);
         let what = format!(
-            "the board is {:.1} ± {:.2} % {} than said, by the accelerometer: {}",
+            "according to the accelerometer, the board is {:.1} ± {:.2} % {} than specified: {}",
             percent.abs(),
             excess.sigma * 100.0,
             if percent > 0.0 { "larger" } else { "smaller" },
@@ -90,14 +90,14 @@ pub(super) fn size(target: &Target, excess: &BoardExcess, is_measured: bool) -> 
     }
     if excess.sigma > UNKNOWN_SIZE {
         let what = format!(
-            "the board's size is not checked (± {:.0} %): the rig hardly moves",
+            "board size not checked (± {:.0} %): the rig hardly moves",
             excess.sigma * 100.0
         );
         return finding(Verdict::Warn, what, WORRYING_SIZE)
-            .remedy("move the rig by 20 cm along all axes as well");
+            .remedy("also move the rig by 20 cm along all axes");
     }
     let what = format!(
-        "the board is as large as said (± {:.2} %)",
+        "the board size is as specified (± {:.2} %)",
         100.0 * excess.sigma
     );
     finding(Verdict::Pass, what, WORRYING_SIZE)
@@ -107,7 +107,7 @@ pub(super) fn size(target: &Target, excess: &BoardExcess, is_measured: bool) -> 
 pub(super) fn bend(bend_m: f64, sigma_m: f64) -> Finding {
     let (mm, limit) = (bend_m * 1e3, Limit::AtMost(WORRYING_BEND_M * 1e3));
     let what = format!(
-        "its corners lie up to {mm:.1} ± {:.1} mm out of its plane, which is taken into account",
+        "its corners lie up to {mm:.1} ± {:.1} mm out of its plane; the calibration accounts for that",
         sigma_m * 1e3
     );
     let verdict = Verdict::Warn.unless(limit.holds(mm));
@@ -115,7 +115,7 @@ pub(super) fn bend(bend_m: f64, sigma_m: f64) -> Finding {
         .value(mm, "mm")
         .sigma(sigma_m * 1e3)
         .limit(limit)
-        .remedy("glue it to a stiff plate: `lsfb calib camera` takes boards for flat")
+        .remedy("glue it to a stiff plate: `lsfb calib camera` assumes a flat board")
 }
 
 /// Whether the two halves of the recording agree; `None` where one of them does not tell.
@@ -130,7 +130,7 @@ pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
     let [difference, sigma] = farthest.difference().map(|v| v * factor);
     let apart = format!("{} ± {}", rounded(difference), rounded(sigma));
     let what = format!(
-        "the two halves of the recording, each for itself, differ most in {}: by {}, {deviations:.1} standard deviations",
+        "the two halves of the recording, calibrated separately, differ most in {}: by {}, {deviations:.1} standard deviations",
         farthest.name,
         with_unit(&apart, unit),
     );
@@ -138,7 +138,7 @@ pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
         .value(deviations, "σ")
         .limit(limit);
     Some(finding.remedy(
-        "check that no mount moved and no clock jumped in between, and record again: the standard deviations do not hold this",
+        "check that no mount moved and no clock jumped in between, and record again: the standard deviations are too small for this difference",
     ))
 }
 
@@ -150,7 +150,7 @@ pub(super) fn accel_delay(delay_s: f64, sigma_s: f64) -> Option<Finding> {
     }
     let [delay_ms, sigma_ms] = [delay_s, sigma_s].map(|s| s * 1e3);
     let what = format!(
-        "it measures {:.2} ± {sigma_ms:.2} ms {} the gyroscope; all else is estimated with that",
+        "it measures {:.2} ± {sigma_ms:.2} ms {} the gyroscope; everything else is estimated with that delay",
         delay_ms.abs(),
         if delay_ms > 0.0 { "after" } else { "before" }
     );
@@ -158,7 +158,7 @@ pub(super) fn accel_delay(delay_s: f64, sigma_s: f64) -> Option<Finding> {
     let verdict = Verdict::Warn.unless(limit.holds(delay_ms.abs()));
     let finding = Finding::new("accelerometer-delay", verdict, "accelerometer", what);
     Some(finding.value(delay_ms, "ms").limit(limit).remedy(
-        "stamp both triads of the IMU by one clock: filters alone do not delay one that much beside the other",
+        "use one clock for the stamps of both sensors of the IMU: filtering alone does not delay one that much relative to the other",
     ))
 }
 
@@ -194,23 +194,23 @@ impl RigEstimate {
         let limit = Limit::AtMost(WORRYING_JITTER_S * 1e3);
         if !limit.holds(jitter_ms) {
             let what = format!(
-                "stamps of the IMU jitter by {jitter_ms:.1} ms rms: the gyroscope misses the more the faster the turning changes"
+                "IMU stamps jitter by {jitter_ms:.1} ms rms: the faster the rotation changes, the larger the error of the gyroscope"
             );
             let jitter = Finding::new("imu-stamps", Verdict::Warn, "IMU", what);
             found.push(
                 jitter
                     .value(jitter_ms, "ms")
                     .limit(limit)
-                    .remedy("stamp samples when they are taken, not when they arrive"),
+                    .remedy("stamp samples when they are measured, not when they arrive"),
             );
         }
         for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(ratios) {
             let limit = Limit::AtMost(WORRYING_RATIO);
             let verdict = Verdict::Warn.unless(limit.holds(ratio));
-            let what = format!("it follows the motion to {ratio:.1} times its stated noise");
+            let what = format!("its residual is {ratio:.1} times its specified noise");
             let fit = Finding::new("imu-fit", verdict, *name, what);
             found.push(fit.value(ratio, "").limit(limit).remedy(
-                "measure its noise (`lsfb calib imu-noise`), and check that it is not loose and that clocks do not jump",
+                "measure its noise (`lsfb calib imu-noise`), and check that it is firmly mounted and that no clock jumps",
             ));
         }
         found
@@ -239,7 +239,7 @@ impl RigEstimate {
         let worst_mm = c.position_sigma_m.iter().copied().fold(0.0, f64::max) * 1e3;
         let limit = Limit::AtMost(WORRYING_POSITION_M * 1e3);
         let verdict = Verdict::Warn.unless(limit.holds(worst_mm));
-        let what = format!("its place on the IMU is known to {worst_mm:.1} mm");
+        let what = format!("position on the IMU: standard deviation {worst_mm:.1} mm");
         let place = Finding::new("position-sigma", verdict, name, what);
         found.push(
             place
@@ -262,7 +262,7 @@ impl RigEstimate {
             return None;
         }
         let what = format!(
-            "its clock runs {:.0} ± {:.0} ppm {} than the IMU's, {:.1} ms over this recording: its offset holds in the middle alone",
+            "its clock runs {:.0} ± {:.0} ppm {} than the IMU's, {:.1} ms over this recording: the offset holds only in the middle of it",
             drift * 1e6,
             c.clock_drift_sigma * 1e6,
             if c.clock_drift > 0.0 {
@@ -282,8 +282,8 @@ impl RigEstimate {
     /// What would help most, in words.
     fn advice(&self) -> &'static str {
         match self.excitation().verdict {
-            Verdict::Warn => "see which axis it hardly turns about",
-            _ => "turn faster about all axes, or record longer",
+            Verdict::Warn => "see which axis it hardly rotates about",
+            _ => "rotate faster about all axes, or record longer",
         }
     }
 
@@ -295,16 +295,16 @@ impl RigEstimate {
         let limit = Limit::AtLeast(most / POOR_AXIS);
         let verdict = Verdict::Warn.unless(limit.holds(least));
         let what = if verdict == Verdict::Pass {
-            format!("it turns by {least:.2} rad/s rms at least, about {axis}")
+            format!("rotation of at least {least:.2} rad/s rms about each axis; least about {axis}")
         } else {
             format!(
-                "it hardly turns about {axis} ({least:.2} rad/s rms, {most:.2} about another axis)"
+                "hardly any rotation about {axis} ({least:.2} rad/s rms, {most:.2} about another axis)"
             )
         };
         Finding::new("motion", verdict, "motion", what)
             .value(least, "rad/s")
             .limit(limit)
-            .remedy(format!("rotate more around {axis}"))
+            .remedy(format!("rotate more about {axis}"))
     }
 }
 
@@ -321,29 +321,29 @@ pub(super) fn axes(found: &[Estimate], config: &CameraImuConfig) -> Option<Findi
     // An IMU that is worse than said, and a motion that does not show it, would look like a good one.
     if !is_worrying && least_known.sigma > TOLD_AXES * config.axes_sigma {
         let what = format!(
-            "how true its scale and axes are is not told by this motion ({} ± {:.2} %): all rests on their being within {:.2} % of ideal (axes_sigma)",
+            "this motion does not determine its scale and axes ({} ± {:.2} %); they are assumed to be within {:.2} % of ideal (axes_sigma)",
             least_known.name,
             100.0 * least_known.sigma,
             100.0 * config.axes_sigma
         );
         let finding = finding(Verdict::Unknown, what);
-        return Some(finding.remedy("turn faster about all axes, or record longer"));
+        return Some(finding.remedy("rotate faster about all axes, or record longer"));
     }
     let Some(worst) = clear else {
-        let what = "its scale and axes are not seen to be off".to_owned();
+        let what = "no significant error of scale or axes".to_owned();
         return Some(finding(Verdict::Pass, what));
     };
     let (percent, sigma) = (100.0 * worst.value.abs(), 100.0 * worst.sigma);
     let limit = Limit::AtMost(100.0 * WORRYING_AXES);
     let what = format!(
-        "its scale and axes are off by {percent:.2} ± {sigma:.2} % at most ({})",
+        "scale and axes are off by up to {percent:.2} ± {sigma:.2} % ({})",
         worst.name
     );
     // The prior has pulled at it where the IMU is worse than that says.
     let is_said = config.axes == Axes::Estimated || worst.value.abs() <= 4.0 * config.axes_sigma;
     let remedy = match is_said {
-        true => "calibrate the IMU by itself: whatever uses the rig takes its axes as ideal",
-        false => "set axes = \"estimated\", or axes_sigma to what the IMU's data sheet says",
+        true => "calibrate the IMU itself: everything that uses the rig assumes ideal axes",
+        false => "set axes = \"estimated\", or set axes_sigma to the value in the IMU's data sheet",
     };
     let finding = finding(Verdict::Warn.unless(limit.holds(percent)), what)
         .value(percent, "%")
@@ -356,7 +356,7 @@ fn clock_sigma(c: &CameraOnImu) -> Finding {
     let sigma_ms = c.rig_from_camera_sigma_s * 1e3;
     let limit = Limit::AtMost(WORRYING_CLOCK_S * 1e3);
     let verdict = Verdict::Warn.unless(limit.holds(sigma_ms));
-    let what = format!("its clock is known to {sigma_ms:.2} ms");
+    let what = format!("time offset: standard deviation {sigma_ms:.2} ms");
     Finding::new("clock-sigma", verdict, &*c.name, what)
         .value(sigma_ms, "ms")
         .limit(limit)
@@ -370,7 +370,7 @@ fn clock_offset(c: &CameraOnImu) -> Option<Finding> {
         return None;
     }
     let what = format!(
-        "its stamps are {:.1} ms {} beside the IMU's: that is taken into account (rig_from_camera_s), but clocks that far apart are not synchronised and may differ again next time",
+        "its stamps are {:.1} ms {} relative to the IMU's; the rig accounts for that (rig_from_camera_s), but clocks that far apart are not synchronised, and the offset may be different next time",
         offset_ms.abs(),
         if offset_ms > 0.0 { "early" } else { "late" }
     );

@@ -19,7 +19,7 @@ impl CameraImuCalibration {
             .map(|c| format!("{} {:.2} px rms", c.name, c.rms_px))
             .collect();
         format!(
-            "{}; gyroscope and accelerometer at {:.1} and {:.1} times their stated noise",
+            "{}; gyroscope and accelerometer residuals {:.1} and {:.1} times their specified noise",
             rms.join(", "),
             self.imu.gyro_ratio,
             self.imu.accel_ratio
@@ -55,14 +55,14 @@ impl CameraImuCalibration {
                     }
                     @if self.board_is_measured {
                         tr {
-                            td { "larger than said, %" }
+                            td { "excess over specified size, %" }
                             td { (format!("{:+.2}", self.board_excess * 100.0)) }
                             td { (format!("{:.2}", self.board_excess_sigma * 100.0)) }
                         }
                     }
                     @if self.board_bend_sigma_m > 0.0 {
                         tr {
-                            td { "farthest corner out of its plane, mm" }
+                            td { "largest distance of a corner from the plane, mm" }
                             td { (format!("{:.2}", self.board_bend_m * 1e3)) }
                             td { (format!("{:.2}", self.board_bend_sigma_m * 1e3)) }
                         }
@@ -91,7 +91,7 @@ fn section(c: &CameraOnImu) -> Markup {
                     td { (format!("{:.4}", c.rig_from_camera_sigma_s * 1e3)) }
                 }
                 tr {
-                    td { "drift of the clock, ppm" }
+                    td { "clock drift, ppm" }
                     td { (format!("{:+.1}", c.clock_drift * 1e6)) }
                     td { (format!("{:.1}", c.clock_drift_sigma * 1e6)) }
                 }
@@ -114,7 +114,7 @@ fn section(c: &CameraOnImu) -> Markup {
             p {
                 (c.views) " views, " (c.corners) " corners, " (c.outliers) " outliers, "
                 (format!("{:.3}", c.rms_px)) " px rms"
-                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on holdout views" }
+                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on held-out views" }
                 "."
             }
             (scroll(&parameters))
@@ -126,7 +126,7 @@ fn section(c: &CameraOnImu) -> Markup {
 fn imu(imu: &FoundImu) -> Markup {
     let motion = html! {
         table.numbers {
-            thead { tr { th { "axis" } th { "turning, rad/s rms" } th { "pushing, m/s² rms" } th { "gyroscope bias, rad/s" } th { "σ" } th { "accelerometer bias, m/s²" } th { "σ" } th { "advice" } } }
+            thead { tr { th { "axis" } th { "angular rate, rad/s rms" } th { "specific force, m/s² rms" } th { "gyroscope bias, rad/s" } th { "σ" } th { "accelerometer bias, m/s²" } th { "σ" } th { "advice" } } }
             tbody {
                 @for (k, axis) in AXES.iter().enumerate() {
                     tr {
@@ -137,7 +137,7 @@ fn imu(imu: &FoundImu) -> Markup {
                         td { (format!("{:.5}", imu.gyro_bias_sigma_rad_s[k])) }
                         td { (format!("{:+.4}", imu.accel_bias_m_s2[k])) }
                         td { (format!("{:.4}", imu.accel_bias_sigma_m_s2[k])) }
-                        td { @if poor(&imu.rate_rms_rad_s, k) { "rotate more around " (axis) } @else { "enough" } }
+                        td { @if poor(&imu.rate_rms_rad_s, k) { "rotate more about " (axis) } @else { "enough" } }
                     }
                 }
             }
@@ -145,7 +145,7 @@ fn imu(imu: &FoundImu) -> Markup {
     };
     let axes = html! {
         table.numbers {
-            thead { tr { th { "error of axes" } th { "value" } th { "σ" } } }
+            thead { tr { th { "axis error" } th { "value" } th { "σ" } } }
             tbody {
                 @for p in &imu.axes {
                     tr { td { (p.name) } td { (format!("{:+.5}", p.value)) } td { (format!("{:.5}", p.sigma)) } }
@@ -154,7 +154,7 @@ fn imu(imu: &FoundImu) -> Markup {
         }
     };
     let residuals = |name: &str, bins: &[u32]| {
-        plots::counts(name, "stated noise", HISTOGRAM_SPAN, bins, Normal::Unit)
+        plots::counts(name, "specified noise", HISTOGRAM_SPAN, bins, Normal::Unit)
     };
     html! {
         section {
@@ -164,10 +164,10 @@ fn imu(imu: &FoundImu) -> Markup {
                 @if !imu.axes.is_empty() { (scroll(&axes)) }
             }
             div.plots {
-                figure { (excitation("turning", "turning (rad/s)", &imu.rate_rms_rad_s)) figcaption { "Turning about x, y and z, rms" } }
-                figure { (excitation("pushing", "pushing (m/s²)", &imu.force_rms_m_s2)) figcaption { "Pushing along x, y and z, rms" } }
-                figure { (residuals("gyroscope's residuals", &imu.gyro_histogram)) figcaption { "Gyroscope's residuals in units of the stated noise; dashed: what that noise gives" } }
-                figure { (residuals("accelerometer's residuals", &imu.accel_histogram)) figcaption { "Accelerometer's residuals in units of the stated noise; dashed: what that noise gives" } }
+                figure { (excitation("angular rate", "angular rate (rad/s)", &imu.rate_rms_rad_s)) figcaption { "Angular rate about x, y and z, rms" } }
+                figure { (excitation("specific force", "specific force (m/s²)", &imu.force_rms_m_s2)) figcaption { "Specific force along x, y and z without gravity, rms" } }
+                figure { (residuals("gyroscope's residuals", &imu.gyro_histogram)) figcaption { "Gyroscope residuals in units of the specified noise; dashed: expected distribution" } }
+                figure { (residuals("accelerometer's residuals", &imu.accel_histogram)) figcaption { "Accelerometer residuals in units of the specified noise; dashed: expected distribution" } }
             }
         }
     }
@@ -194,7 +194,7 @@ const SPLIT_PLOT_PX: [u32; 2] = [900, 300];
 fn halves(halves: &[SplitEstimate]) -> Markup {
     let table = html! {
         table.numbers {
-            thead { tr { th { "number" } th { "parameter" } th { "first half less the whole" } th { "second half less the whole" } th { "apart, σ" } } }
+            thead { tr { th { "number" } th { "parameter" } th { "first half − whole" } th { "second half − whole" } th { "difference, σ" } } }
             tbody {
                 @for (k, split) in halves.iter().enumerate() {
                     tr {
@@ -209,13 +209,13 @@ fn halves(halves: &[SplitEstimate]) -> Markup {
     };
     html! {
         section {
-            h2 { "Either half of the recording" }
+            h2 { "Halves of the recording" }
             p {
-                "What the first half ("
+                "Results of the first half ("
                 span style=(format!("color:{}", ink_css(0))) { "●" }
-                ") and the second ("
+                ") and the second half ("
                 span style=(format!("color:{}", ink_css(1))) { "●" }
-                ") would find alone, to first order: in standard deviations of their difference from what the whole finds, with one standard deviation to either side."
+                ") alone, to first order, relative to the result of the whole recording, in standard deviations of that difference; bars show one standard deviation."
             }
             (split_plot(halves).draw())
             (scroll(&table))
@@ -263,11 +263,11 @@ fn split_plot(halves: &[SplitEstimate]) -> Plot {
     let reach = 1.05 * farthest;
     let [width_px, height_px] = SPLIT_PLOT_PX;
     Plot {
-        name: "either half of the recording".to_owned(),
+        name: "halves of the recording".to_owned(),
         width_px,
         height_px,
         x: Axis::linear("number of the parameter", [-0.6, halves.len() as f64 - 0.4]),
-        y: Axis::linear("half less whole (σ)", [-reach, reach]),
+        y: Axis::linear("half − whole (σ)", [-reach, reach]),
         layers,
     }
 }

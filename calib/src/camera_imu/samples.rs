@@ -100,7 +100,7 @@ pub(super) fn saturation(samples: &[Sample]) -> Vec<Finding> {
             if let Some(first) = ends.next() {
                 let count = ends.count() + 1;
                 let what = format!(
-                    "the {triad} saturates along {name}: {count} samples at the end of its range, the first at {:.2} s; they count for nothing",
+                    "the {triad} saturates along {name}: {count} samples at the end of its range, the first at {:.2} s; they are not used",
                     first.time_s
                 );
                 let finding = Finding::new("saturation", Verdict::Warn, triad, what);

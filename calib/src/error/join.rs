@@ -16,21 +16,19 @@ pub enum JoinProblem {
     SameSensor,
     /// No transforms lead from one to the other.
     #[error(
-        "no chain of transforms joins them: add one between a camera and the IMU (from a rig, or of `lsfb calib camera-imu`)"
+        "no chain of transforms connects them: add one between a camera and the IMU (from a rig, or from `lsfb calib camera-imu`)"
     )]
     NoChain,
     /// There is no transform at all.
     #[error("no transform was given")]
     NoTransform,
     /// One measurement is there twice.
-    #[error(
-        "the same transform is given twice, which would count as two measurements: leave one of them out"
-    )]
+    #[error("the same transform is given twice and would count as two measurements: leave one out")]
     GivenTwice,
 
     /// Two cameras see the board together too seldom.
     #[error(
-        "both see the target at {shared} instants, {needed} are needed: check that they are triggered together and overlap"
+        "both see the target at {shared} instants, but {needed} are needed: check that they are triggered together and that their fields of view overlap"
     )]
     FewInstants {
         /// Instants at which both see it.
@@ -40,12 +38,12 @@ pub enum JoinProblem {
     },
     /// Poses of two cameras agree if the board is turned by half a turn for one.
     #[error(
-        "they see the board from opposite ends: for one of them it is upside down, or one of them is mounted so. A checkerboard with an odd number of inner corners along one edge and an even one along the other tells its ends apart"
+        "they see the board from opposite ends: the board is upside down for one of them, or one camera is mounted upside down. Use a checkerboard with an odd number of inner corners along one edge and an even number along the other, whose ends can be told apart"
     )]
     OppositeEnds,
     /// Images of two cameras are paired wrongly.
     #[error(
-        "their pairs are shifted: images of the second belong to those that the first took {} {}: they are not triggered together, or one of them lost images before they were numbered",
+        "their pairs are shifted: images of the second camera belong to those that the first took {} {}. They are not triggered together, or one of them lost images before they were numbered",
         instants(*by), if *by > 0 { "before" } else { "after" }
     )]
     ShiftedPairs {
@@ -54,7 +52,7 @@ pub enum JoinProblem {
     },
     /// Images of two cameras were exchanged part of the time.
     #[error(
-        "their images are exchanged at {exchanged} of {shared} instants, from {first_instant} to {last_instant}: there each stands where the other does at all others. Cables, names or device numbers were exchanged on the way"
+        "their images are swapped at {exchanged} of {shared} instants, from {first_instant} to {last_instant}: cables, names or device numbers were exchanged in between"
     )]
     Exchanged {
         /// Instants at which they are.
@@ -68,7 +66,7 @@ pub enum JoinProblem {
     },
     /// Cameras that fit alone do not fit together.
     #[error(
-        "each for itself sees the target well, together {}: they are not triggered together, their stamps are off, or one of them is loose",
+        "each camera fits by itself, but together {}: they are not triggered together, their stamps are wrong, or one of them is loose",
         missed(*rms_px)
     )]
     MissTogether {
@@ -76,11 +74,11 @@ pub enum JoinProblem {
         rms_px: f64,
     },
     /// Two cameras fit each other's place on the rig.
-    #[error("their views are swapped: each fits the other's place on the rig")]
+    #[error("their views are swapped: each fits the other's pose in the rig")]
     Swapped,
     /// Two cameras are not where the rig has them.
     #[error(
-        "seen from each other they stand {:.1}° and {:.0} mm from where the rig has them: check which camera is which, or calibrate the cameras first",
+        "relative to each other they are {:.1}° and {:.0} mm off the rig: check which camera is which, or calibrate the cameras first",
         turn_rad.to_degrees(), shift_m * 1e3
     )]
     Misplaced {
@@ -91,7 +89,7 @@ pub enum JoinProblem {
     },
 
     /// The IMU has no sample.
-    #[error("there is no IMU sample")]
+    #[error("there are no IMU samples")]
     NoSample,
     /// The IMU has a sample that is no number.
     #[error("the IMU sample at {time_s:.3} s is not a number")]
@@ -101,7 +99,7 @@ pub enum JoinProblem {
     },
     /// Samples of the IMU share their stamps.
     #[error(
-        "{repeated} of {all} IMU samples have the stamp of another one: several were given one time, and when each was measured is not known; have the driver stamp each sample"
+        "{repeated} of {all} IMU samples have the same stamp as another one, so that their time is unknown; have the driver stamp each sample"
     )]
     RepeatedStamps {
         /// Samples with the stamp of an earlier one.
@@ -111,7 +109,7 @@ pub enum JoinProblem {
     },
     /// The IMU measured while the camera saw nothing.
     #[error(
-        "{samples} of the samples from {length_s:.1} s lie within {within_s} s of a view, {needed} are needed: check the clocks"
+        "only {samples} of the samples from {length_s:.1} s lie within {within_s} s of a view, but {needed} are needed: check the clocks"
     )]
     FewSamples {
         /// Samples near views.
@@ -125,7 +123,7 @@ pub enum JoinProblem {
     },
     /// The camera saw the board while the IMU did not measure.
     #[error(
-        "{pairs} pairs of neighbouring views lie within the IMU's {length_s:.1} s, {needed} are needed: check the clocks"
+        "only {pairs} pairs of neighbouring views lie within the IMU's {length_s:.1} s, but {needed} are needed: check the clocks"
     )]
     FewRates {
         /// Pairs of views.
@@ -148,7 +146,7 @@ pub enum JoinProblem {
     },
     /// The offset between two clocks is larger than was to be searched.
     #[error(
-        "their clocks are not synchronised: they turn alike once {offset_s:+.2} s are added to the camera's stamps, more than max_offset_s = {largest_s} allows. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s"
+        "their clocks are not synchronised: the rotations agree if {offset_s:+.2} s are added to the camera's stamps, which is more than max_offset_s = {largest_s}. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s"
     )]
     FarOffset {
         /// The offset.
@@ -158,12 +156,12 @@ pub enum JoinProblem {
     },
     /// A gyroscope in degrees per second.
     #[error(
-        "camera and gyroscope turn alike once its samples are taken for degrees: they are in degrees per second, radians per second are needed"
+        "camera and gyroscope rotate alike if its samples are in degrees per second: convert them to radians per second"
     )]
     InDegrees,
     /// No offset makes a camera and the gyroscope turn alike.
     #[error(
-        "camera and gyroscope do not turn alike at any offset within {within_s} s ({:.0} % of their turning agrees): their clocks are not synchronised, jump, or one of them is another device's",
+        "the rotations of camera and gyroscope do not agree at any offset within {within_s} s ({:.0} % agreement): their clocks are not synchronised, a clock jumps, or one of them belongs to another device",
         100.0 * agreement.max(0.0)
     )]
     TurnApart {
@@ -174,7 +172,7 @@ pub enum JoinProblem {
     },
     /// Camera and gyroscope turn alike once the rows of its images are taken to be exposed one after the other.
     #[error(
-        "its shutter rolls: it turns as the gyroscope does if its images take about {:.0} ms from the first row to the last, not {:.0} ms as the rig says. Say the camera's readout_s in the rig (--rig), or have it searched (readout = \"estimated\" in --config)",
+        "rolling shutter detected: the rotation fits the gyroscope with a readout of about {:.0} ms, not with the {:.0} ms in the rig. Set the camera's readout_s in the rig (--rig), or estimate it (readout = \"estimated\" in --config)",
         1e3 * found_s, 1e3 * known_s
     )]
     RollingShutter {
@@ -185,7 +183,7 @@ pub enum JoinProblem {
     },
     /// Views fit alone, but not along one motion with the IMU.
     #[error(
-        "each view for itself is met to {alone_px:.1} px, all of them along one motion with the IMU's samples miss by {together_px:.1} px: an axis of the accelerometer has the wrong sign or is exchanged, the images are mirrored, or the board is of quite another size"
+        "reprojection error is {alone_px:.1} px for each view alone, but {together_px:.1} px along one motion with the IMU: an axis of the accelerometer has the wrong sign or is swapped, the images are mirrored, or the size of the board is very wrong"
     )]
     MissAlongMotion {
         /// Median error of views alone, pixels.
@@ -196,14 +194,16 @@ pub enum JoinProblem {
 
     /// The camera never sees the board.
     #[error(
-        "the target was found in 0 of {images} images: check its kind and size, focus, and that all of the board is lit"
+        "the target was found in 0 of {images} images: check its kind and size, the focus, and that the whole board is lit"
     )]
     NotSeen {
         /// Images looked at.
         images: usize,
     },
     /// No cloud has the number of an image.
-    #[error("{images} images with the board and {clouds} clouds, but none with the same number")]
+    #[error(
+        "{images} images with the board and {clouds} clouds, but no image has the number of a cloud"
+    )]
     NoSameNumber {
         /// Images with the board.
         images: usize,
@@ -212,7 +212,7 @@ pub enum JoinProblem {
     },
     /// Scans and images are of different times.
     #[error(
-        "{scans} scans and {seen} of {images} images with the board, but none of one time: record both at once, and check with `lsfb clock` that their clocks agree"
+        "{scans} scans and {seen} of {images} images with the board, but none at the same time: record both at once, and check with `lsfb clock` that their clocks agree"
     )]
     NoSameTime {
         /// Scans.
@@ -237,7 +237,7 @@ pub enum JoinProblem {
     PointsOnALine,
     /// What looks like the board in scans is not where the camera sees it.
     #[error(
-        "patches like the board were found in {found} of {scans} scans, but no transform takes {needed} of them to where the camera sees it: check that scans and images belong together and that the board stood still and free"
+        "patches like the board were found in {found} of {scans} scans, but no transform puts {needed} of them where the camera sees it: check that scans and images belong together and that the board stood still and free"
     )]
     NoTransformFits {
         /// Scans with such a patch.
@@ -248,7 +248,7 @@ pub enum JoinProblem {
         needed: usize,
     },
     /// Too few poses of the board agree.
-    #[error("{left} poses remain, {needed} are needed: record more")]
+    #[error("{left} poses remain, but {needed} are needed: record more")]
     FewPoses {
         /// Poses that agree.
         left: usize,
@@ -256,11 +256,11 @@ pub enum JoinProblem {
         needed: usize,
     },
     /// The weights of camera and LiDAR were made anew without end.
-    #[error("the weights of camera and LiDAR do not settle: record more poses")]
+    #[error("the camera/LiDAR weighting did not converge: record more poses")]
     WeightsUnsettled,
     /// Both sensors have the board at different places.
     #[error(
-        "middles of the board are {:.0} mm apart where both sensors agree best: images and scans do not belong together, or the board's size is wrong{}",
+        "board centres are {:.0} mm apart at the best fit of both sensors: images and scans do not belong together, or the board's size is wrong{}",
         rms_m * 1e3, also_words(also)
     )]
     MiddlesApart {
@@ -271,7 +271,7 @@ pub enum JoinProblem {
     },
 
     /// The rig has no LiDAR.
-    #[error("the rig has no LiDAR: give it a pose as measured by hand")]
+    #[error("the rig has no LiDAR: add its pose as measured by hand")]
     NoLidar,
     /// The recording has other cameras than the rig.
     #[error("none of the rig's cameras is in the recording: check the names")]
@@ -281,7 +281,7 @@ pub enum JoinProblem {
     NoScans,
     /// The scans last too short a time.
     #[error(
-        "scans of {length_s:.1} s are too short, {needed_s} s are the least and 30 s are better: walk through a furnished place and turn"
+        "{length_s:.1} s of scans are too short; at least {needed_s} s are needed, 30 s are better: walk through a furnished place and turn"
     )]
     ShortScans {
         /// Length of the scans.
@@ -291,7 +291,7 @@ pub enum JoinProblem {
     },
     /// Scans cannot be registered to each other.
     #[error(
-        "scans do not fit on each other: the LiDAR sees too few surfaces, or moves too fast: record a place with walls, floor and furniture within 20 m"
+        "scans cannot be registered to each other: the LiDAR sees too few surfaces, or moves too fast. Record a place with walls, floor and furniture within 20 m"
     )]
     ScansUnregistered,
 }

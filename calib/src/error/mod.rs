@@ -35,11 +35,11 @@ pub enum Error {
         problem: String,
     },
     /// A board whose numbers are impossible.
-    #[error("the target is impossible: {0}")]
+    #[error("invalid target: {0}")]
     Target(#[from] TargetProblem),
     /// A camera saw the target too seldom.
     #[error(
-        "camera {camera}: the target was found in {found} of {images} images, {needed} are needed: check the target's kind and size ({target}), focus, and that all of the board is lit"
+        "camera {camera}: the target was found in {found} of {images} images, but {needed} are needed: check the target's kind and size ({target}), the focus, and that the whole board is lit"
     )]
     TargetNotSeen {
         /// The camera.
@@ -55,7 +55,7 @@ pub enum Error {
     },
     /// Most images of a camera are one image.
     #[error(
-        "camera {camera}: the target was found in {found} images, but only {different} of them differ, the others are copies, and {needed} are needed: move the board or the camera between them, and check that the camera does not repeat its images"
+        "camera {camera}: the target was found in {found} images, but only {different} of them differ (the others are duplicates), and {needed} are needed: move the board or the camera between images, and check that the camera does not repeat images"
     )]
     CopiedImages {
         /// The camera.
@@ -96,7 +96,7 @@ pub enum Error {
     },
     /// The views fit another lens model, not the one that was asked for.
     #[error(
-        "camera {camera}: no {model} lens is found under which these views fit ({}), a {other} lens fits to {other_rms_px:.2} px: choose the model {other}",
+        "camera {camera}: the lens model {model} does not fit these views ({}), but {other} does, with a reprojection error of {other_rms_px:.2} px: use --model {other}",
         missed(*rms_px)
     )]
     AnotherModelFits {
@@ -122,9 +122,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Two cameras were given the same images.
-    #[error(
-        "{first} and {second} show the same images: one folder or topic was named for both of them"
-    )]
+    #[error("{first} and {second} show the same images: both were given the same folder or topic")]
     SameImages {
         /// A camera.
         first: String,
@@ -153,17 +151,17 @@ pub enum Error {
     #[error("the motion is too poor: {0}")]
     Motion(#[from] PoorMotion),
     /// Samples of an IMU that contradict what cameras see.
-    #[error("the IMU's samples cannot be right: {0}")]
+    #[error("the IMU samples are implausible: {0}")]
     Imu(#[from] BadImu),
     /// A recording from which an IMU's noise cannot be read.
-    #[error("no noise can be read from this recording: {0}")]
+    #[error("the noise cannot be determined from this recording: {0}")]
     NotAtRest(#[from] NoRest),
     /// A setting lies outside its bounds.
     #[error(transparent)]
     Setting(#[from] lsfb_types::OutOfBounds),
     /// The LiDAR saw the board too seldom.
     #[error(
-        "lidar: a board of {:.0} × {:.0} mm was found in {found} of {scans} scans, {needed} are needed: check its size, that it stands free (no wall or person within 20 cm behind it), and that at least three beams meet it",
+        "lidar: a board of {:.0} × {:.0} mm was found in {found} of {scans} scans, but {needed} are needed: check its size, that it stands free (no wall or person within 20 cm behind it), and that at least three beams hit it",
         width_m * 1e3,
         height_m * 1e3
     )]
@@ -184,7 +182,7 @@ pub enum Error {
     BoardSize(#[from] WrongSize),
     /// The board always faced the same way.
     #[error(
-        "the boards' normals differ by {tilt_deg:.1}° only about one axis, {needed_deg:.0}° are needed: translation along {direction} rests on outlines alone; {advice}"
+        "the boards' normals differ by only {tilt_deg:.1}° about a second axis, but {needed_deg:.0}° are needed: translation along {direction} depends on the outlines alone; {advice}"
     )]
     OneSided {
         /// Spread of the normals about the axis about which they differ least, degrees.
@@ -207,8 +205,8 @@ pub enum Error {
 /// By how much corners are missed, in words: an error is infinite where a lens does not see them at all.
 pub(crate) fn missed(rms_px: f64) -> String {
     if rms_px.is_finite() {
-        format!("corners are missed by {rms_px:.1} px")
+        format!("reprojection error is {rms_px:.1} px")
     } else {
-        "most corners lie where the lens sees nothing".to_owned()
+        "most corners are outside the lens's field of view".to_owned()
     }
 }

@@ -11,7 +11,7 @@ use super::join::also_words;
 #[non_exhaustive]
 pub enum TargetProblem {
     /// A number that must be above zero.
-    #[error("{what} is {value}: it must be positive")]
+    #[error("{what} is {value}, but must be positive")]
     NotPositive {
         /// Whose number it is.
         what: &'static str,
@@ -27,7 +27,7 @@ pub enum TargetProblem {
         edge_m: f64,
     },
     /// An edge that looks as if it were in millimetres.
-    #[error("{what} of {edge_m} m: lengths are in metres, {} for {edge_m} mm", edge_m / 1e3)]
+    #[error("{what} of {edge_m} m: lengths are in metres; for {edge_m} mm write {}", edge_m / 1e3)]
     TooLarge {
         /// Whose edge it is.
         what: &'static str,
@@ -35,7 +35,7 @@ pub enum TargetProblem {
         edge_m: f64,
     },
     /// A number of tags that the family does not have.
-    #[error("{columns} × {rows} tags: between 1 and {most} are possible")]
+    #[error("{columns} × {rows} tags: expected 1 to {most}")]
     Tags {
         /// Along x.
         columns: u32,
@@ -45,7 +45,7 @@ pub enum TargetProblem {
         most: u32,
     },
     /// A number of inner corners that is none of a checkerboard.
-    #[error("{columns} × {rows} inner corners: between 2 and 100 are possible")]
+    #[error("{columns} × {rows} inner corners: expected 2 to 100")]
     InnerCorners {
         /// Along x.
         columns: u32,
@@ -53,9 +53,7 @@ pub enum TargetProblem {
         rows: u32,
     },
     /// A number of squares that is none of a ChArUco board.
-    #[error(
-        "{columns} × {rows} squares: at least 3 × 3 and at most {most} white ones are possible"
-    )]
+    #[error("{columns} × {rows} squares: expected at least 3 × 3 and at most {most} white ones")]
     Squares {
         /// Along x.
         columns: u32,
@@ -66,7 +64,7 @@ pub enum TargetProblem {
     },
     /// Markers that hide the corners of their squares.
     #[error(
-        "markers of {marker_m} m in squares of {square_m} m: at most 0.9 of the square leave its corners free"
+        "markers of {marker_m} m in squares of {square_m} m: at most 0.9 of the square keeps its corners visible"
     )]
     LargeMarkers {
         /// Edge of a marker, metres.
@@ -95,7 +93,7 @@ pub enum TargetProblem {
     },
     /// A plate that does not hold the pattern.
     #[error(
-        "a plate of {:.0} × {:.0} mm does not hold corners over {:.0} × {:.0} mm: give its width along the pattern's x axis, then its height",
+        "a plate of {:.0} × {:.0} mm is too small for corners over {:.0} × {:.0} mm: give its width along the pattern's x axis, then its height",
         plate_m[0] * 1e3, plate_m[1] * 1e3, corners_m[0] * 1e3, corners_m[1] * 1e3
     )]
     SmallPlate {
@@ -112,16 +110,14 @@ pub enum TargetProblem {
 pub enum SeenInstead {
     /// The board, mirrored.
     #[error(
-        "{images} show its tags mirrored: have the camera's driver not flip its images, or print the board again"
+        "{images} show its tags mirrored: turn off image flipping in the camera driver, or print the board again"
     )]
     Mirrored {
         /// Images that show it.
         images: usize,
     },
     /// Tags of another board.
-    #[error(
-        "{images} show tags that are none of its own: another family than 36h11, or other numbers than those from 0 on"
-    )]
+    #[error("{images} show other tags: of another family than 36h11, or not numbered from 0")]
     OtherTags {
         /// Images that show them.
         images: usize,
@@ -133,7 +129,7 @@ pub enum SeenInstead {
 #[non_exhaustive]
 pub enum WrongUnit {
     /// Stamps in a unit that is known.
-    #[error("stamps are {step} ns apart: they look like {unit}, nanoseconds are needed")]
+    #[error("stamps are {step} ns apart and look like {unit}: convert them to nanoseconds")]
     Stamps {
         /// Median distance of neighbours, as they are.
         step: i64,
@@ -141,14 +137,14 @@ pub enum WrongUnit {
         unit: &'static str,
     },
     /// Numbers that are no stamps in any unit.
-    #[error("numbers that are {step} apart are no stamps: nanoseconds are needed")]
+    #[error("numbers that are {step} apart are not stamps: nanoseconds are needed")]
     NoStamps {
         /// Median distance of neighbours.
         step: i64,
     },
     /// Angular velocities that no hand reaches.
     #[error(
-        "a tenth of its samples turns faster than {rate_rad_s:.0} rad/s: they are in degrees per second, radians per second are needed"
+        "a tenth of its samples are above {rate_rad_s:.0} rad/s: they are in degrees per second; convert them to radians per second"
     )]
     Degrees {
         /// What a tenth of the samples exceeds, read as radians per second.
@@ -161,14 +157,14 @@ pub enum WrongUnit {
 #[non_exhaustive]
 pub enum PoorMotion {
     /// The board is in no image.
-    #[error("the target is never seen")]
+    #[error("the target is never visible")]
     NothingSeen,
     /// Every turn has one axis.
-    #[error("it turns about one axis alone: turn the rig about all three")]
+    #[error("it rotates about one axis only: rotate the rig about all three")]
     OneAxis,
     /// Some axes are hardly turned about.
     #[error(
-        "rotate more around {}: at least {needed_rad_s} rad/s rms are needed",
+        "rotate more about {}: at least {needed_rad_s} rad/s rms are needed",
         axes_words(axes)
     )]
     FewTurns {
@@ -192,8 +188,8 @@ fn axes_words(axes: &[(&str, f64)]) -> String {
 pub enum BadImu {
     /// The accelerometer reads something that is not gravity.
     #[error(
-        "the accelerometer reads {mean_m_s2:.2} m/s² on average where gravity is {gravity_m_s2:.2}: {}",
-        if *is_in_g { "it counts in g: give m/s²" } else { "check its unit and its range, and that gravity was not taken off" }
+        "the accelerometer reads {mean_m_s2:.2} m/s² on average, where gravity is {gravity_m_s2:.2}: {}",
+        if *is_in_g { "it is in units of g; convert to m/s²" } else { "check its unit and its range, and that gravity was not subtracted" }
     )]
     Gravity {
         /// Mean length of its samples.
@@ -205,7 +201,7 @@ pub enum BadImu {
     },
     /// The gyroscope's axes are mirrored.
     #[error(
-        "{camera}: the gyroscope's axes are left-handed beside the camera: one has the wrong sign, or two are exchanged"
+        "{camera}: the gyroscope's axes are left-handed relative to the camera: one has the wrong sign, or two are swapped"
     )]
     LeftHanded {
         /// The camera.
@@ -213,7 +209,7 @@ pub enum BadImu {
     },
     /// The gyroscope turns about other axes than the camera.
     #[error(
-        "{camera}: camera and gyroscope turn equally fast, but about axes that no mounting explains: an axis of the gyroscope has the wrong scale, or its columns are mixed up"
+        "{camera}: camera and gyroscope rotate equally fast, but about axes that no mounting explains: a gyroscope axis has the wrong scale, or its columns are swapped"
     )]
     OtherAxes {
         /// The camera.
@@ -226,7 +222,7 @@ pub enum BadImu {
 #[non_exhaustive]
 pub enum NoRest {
     /// There is no sample.
-    #[error("there is no sample")]
+    #[error("there are no samples")]
     NoSample,
     /// A sample is no number.
     #[error("sample {index} is not a number")]
@@ -236,7 +232,7 @@ pub enum NoRest {
     },
     /// It is too short.
     #[error(
-        "it lasts {length_s:.1} s, at least {needed_s} s are needed; for the random walk two hours"
+        "it lasts {length_s:.1} s, but at least {needed_s} s are needed, and two hours for the random walk"
     )]
     Short {
         /// How long it is.
@@ -246,7 +242,7 @@ pub enum NoRest {
     },
     /// Too many samples are missing.
     #[error(
-        "{missing:.0} of {all:.0} samples are missing: clusters would not be even; find out why they are lost (lsfb doctor)"
+        "{missing:.0} of {all:.0} samples are missing, so that clusters would be uneven; find out why they are lost (`lsfb doctor`)"
     )]
     Missing {
         /// Samples that are missing.
@@ -256,7 +252,7 @@ pub enum NoRest {
     },
     /// Samples share their stamps.
     #[error(
-        "{repeated} of {all} samples have the stamp of another one: several were given one time, and when each was measured is not known; have the driver stamp each sample"
+        "{repeated} of {all} samples have the same stamp as another one, so that their time is unknown; have the driver stamp each sample"
     )]
     Repeated {
         /// Samples with the stamp of an earlier one.
@@ -266,7 +262,7 @@ pub enum NoRest {
     },
     /// It was moved.
     #[error(
-        "it moves {after_s:.0} s after its start: put it on solid ground, away from steps and fans, and record again"
+        "it moves {after_s:.0} s after the start: put it on solid ground, away from footsteps and fans, and record again"
     )]
     Moved {
         /// When, after its start.
@@ -299,7 +295,7 @@ impl fmt::Display for PatternExcess {
         };
         write!(
             f,
-            "the pattern is {percent:.1} ± {sigma_percent:.1} % {than} than said, by the LiDAR: {edges}"
+            "according to the LiDAR, the pattern is {percent:.1} ± {sigma_percent:.1} % {than} than specified: {edges}"
         )
     }
 }
@@ -310,7 +306,7 @@ impl fmt::Display for PatternExcess {
 pub enum WrongSize {
     /// Camera and LiDAR agree on another size, roughly.
     #[error(
-        "images of {camera} fit the LiDAR when the pattern is made about {factor:.2} times as large, {edges}: measure it"
+        "images of {camera} fit the LiDAR if the pattern is about {factor:.2} times as large, {edges}: measure it"
     )]
     OtherScale {
         /// The camera.
@@ -330,7 +326,7 @@ pub enum WrongSize {
     },
     /// Width and height of the plate are exchanged.
     #[error(
-        "the plate's longer side lies along the pattern's {longer_axis} axis in {exchanged} of {poses} poses, but {:.0} × {:.0} mm was said: exchange its width and height",
+        "the plate's longer side lies along the pattern's {longer_axis} axis in {exchanged} of {poses} poses, but {:.0} × {:.0} mm was given: swap width and height",
         plate_m[0] * 1e3, plate_m[1] * 1e3
     )]
     Exchanged {

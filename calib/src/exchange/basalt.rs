@@ -54,7 +54,7 @@ impl Calibration {
         let mut biases = self.calib_accel_bias.iter().chain(&self.calib_gyro_bias);
         if biases.any(|b| *b != 0.0) {
             notes.push(
-                "bias, scale and misalignment of the IMU (calib_accel_bias, calib_gyro_bias) have no place in a rig: correct its samples before they are recorded".to_owned(),
+                "a rig cannot hold bias, scale and misalignment of the IMU (calib_accel_bias, calib_gyro_bias): correct its samples before they are recorded".to_owned(),
             );
         }
         let noises = [
@@ -66,7 +66,7 @@ impl Calibration {
         let uneven = |axes: &Vec<f64>| axes.windows(2).any(|w| w[0] != w[1]);
         if noises.into_iter().any(uneven) {
             notes.push(
-                "a rig has one noise for three axes: their root mean square is taken".to_owned(),
+                "a rig has one noise for all three axes: their root mean square is used".to_owned(),
             );
         }
         let is_zero = |value: &Value| value.as_f64() == Some(0.0);
@@ -76,7 +76,7 @@ impl Calibration {
             notes.push(not_used("value0", &names));
         }
         if !self.vignette.is_empty() {
-            notes.push("vignettes have no place in a rig".to_owned());
+            notes.push("a rig cannot hold vignettes".to_owned());
         }
         notes
     }
@@ -145,7 +145,7 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         return Err(parse_error(
             path,
             format!(
-                "{} T_imu_cam, {count} intrinsics and {} resolutions: expected as many of each",
+                "{} T_imu_cam, {count} intrinsics and {} resolutions: their numbers must be equal",
                 c.imu_from_camera.len(),
                 c.resolution.len()
             ),
@@ -163,7 +163,7 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         let name = format!("cam{k}");
         let fail = |problem: String| parse_error(path, format!("{name}: {problem}"));
         let rotation = quaternion([pose.qw, pose.qx, pose.qy, pose.qz])
-            .ok_or_else(|| fail("its quaternion has not norm 1".to_owned()))?;
+            .ok_or_else(|| fail("the norm of its quaternion is not 1".to_owned()))?;
         let camera = checked(Camera {
             width: size[0],
             height: size[1],
@@ -229,7 +229,7 @@ fn lens(camera: &Intrinsics) -> Result<Lens, String> {
     let principal_px = [get("cx")?, get("cy")?];
     let names = camera
         .distortion_names()
-        .ok_or_else(|| format!("camera_type {} is not known", camera.camera_type))?;
+        .ok_or_else(|| format!("camera_type {} is not supported", camera.camera_type))?;
     let values: Vec<f64> = names
         .iter()
         .map(|name| get(name))
@@ -271,7 +271,7 @@ fn lens(camera: &Intrinsics) -> Result<Lens, String> {
             principal_px,
             distortion: [0.0; 5],
         },
-        _ => return Err("rational distortion with k4 to k6 is not known".to_owned()),
+        _ => return Err("rational distortion with k4 to k6 is not supported".to_owned()),
     })
 }
 
@@ -346,14 +346,14 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         .fold(0.0, f64::max);
     if apart_s > 1e-6 {
         out.notes.push(format!(
-            "Basalt has one time offset: the mean is written, cameras differ from it by up to {:.0} µs",
+            "Basalt has a single time offset: the mean is written; cameras differ from it by up to {:.0} µs",
             apart_s * 1e6
         ));
     }
     let offset_ns = (mean_s * 1e9).round() as i64;
     if offset_ns != 0 {
         out.notes.push(format!(
-            "Basalt's calibration applies the time offset, its odometry does not: add {offset_ns} ns to the stamps of images for the latter"
+            "Basalt's calibration applies the time offset, but its odometry does not: for odometry, add {offset_ns} ns to the image stamps"
         ));
     }
     let mut value = json!({
@@ -379,7 +379,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         }
         None => out
             .notes
-            .push("the rig has no IMU: Basalt needs its noise added".to_owned()),
+            .push("the rig has no IMU: add the noise that Basalt needs".to_owned()),
     }
     // Names and numbers: nothing in it can fail.
     let text = serde_json::to_string_pretty(&json!({ "value0": value })).unwrap_or_default();

@@ -56,7 +56,7 @@ pub fn import_colmap(
         return Ok(ImportedRig {
             rig,
             poses: PosesOf::Nothing,
-            notes: vec!["no poses in it: all cameras are at the origin".to_owned()],
+            notes: vec!["it has no poses: all cameras are put at the origin".to_owned()],
         });
     };
     let fail = |problem: String| parse_error("rig_config.json", problem);
@@ -64,7 +64,7 @@ pub fn import_colmap(
     let mut notes = Vec::new();
     if files.len() > 1 {
         notes.push(format!(
-            "rig_config.json has {} rigs: the first is taken",
+            "rig_config.json has {} rigs: the first one is used",
             files.len()
         ));
     }
@@ -95,7 +95,7 @@ pub fn import_colmap(
         None => {
             if found.len() > 1 {
                 notes.push(format!(
-                    "which camera of {path} is which of rig_config.json is not said by their parameters: taken in the order of their numbers"
+                    "the parameters do not tell which camera of {path} is which in rig_config.json: they are matched in the order of their numbers"
                 ));
             }
             (0..found.len()).collect()
@@ -113,12 +113,15 @@ pub fn import_colmap(
             (None, None) if member.ref_sensor => Se3::identity(),
             _ if member.ref_sensor => {
                 return Err(fail(format!(
-                    "{name}: it is the ref_sensor, and has a cam_from_rig"
+                    "{name}: it is the ref_sensor, but has a cam_from_rig"
                 )));
             }
             (Some(q), Some(t)) => {
-                let q = quaternion(q)
-                    .ok_or_else(|| fail(format!("{name}: cam_from_rig_rotation has not norm 1")))?;
+                let q = quaternion(q).ok_or_else(|| {
+                    fail(format!(
+                        "{name}: the norm of cam_from_rig_rotation is not 1"
+                    ))
+                })?;
                 Se3::new(q, Vector3::from(t)).inverse()
             }
             _ => return Err(fail(format!("{name}: it has no cam_from_rig"))),
@@ -191,7 +194,7 @@ fn listed(text: &str, path: &str) -> Result<Vec<Listed>, Error> {
     }
     found.sort_by_key(|c| c.id);
     match found.is_empty() {
-        true => Err(parse_error(path, "no camera in it")),
+        true => Err(parse_error(path, "it has no camera")),
         false => Ok(found),
     }
 }
@@ -293,7 +296,7 @@ pub(super) fn export(rig: &Rig) -> Exported {
     });
     if rig.imu().is_some() || first.is_some_and(|f| f != Se3::identity()) {
         out.notes.push(
-            "COLMAP's rig is its first camera: the pose in the IMU, noise and time offsets have no place".to_owned(),
+            "COLMAP's rig is its first camera: the pose in the IMU frame, noise and time offsets are not written".to_owned(),
         );
     }
     out

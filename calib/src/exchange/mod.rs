@@ -135,15 +135,15 @@ pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, E
     };
     if rig.lidar().is_some() {
         out.notes
-            .push("the LiDAR's pose has no place in these files".to_owned());
+            .push("the LiDAR's pose cannot be written to these files".to_owned());
     }
     if rig.calibrated_unix_s.is_some() {
         out.notes
-            .push("when it was calibrated has no place in these files".to_owned());
+            .push("the calibration date cannot be written to these files".to_owned());
     }
     if rig.cameras.values().any(|c| c.timing.readout_s != 0.0) {
         out.notes
-            .push("readout times of rolling shutters have no place in these files".to_owned());
+            .push("rolling-shutter readout times cannot be written to these files".to_owned());
     }
     Ok(out)
 }
@@ -167,7 +167,7 @@ fn in_model(
         ..*camera
     };
     notes.push(format!(
-        "{name}: the lens model {} is written as {}, which misses it by up to {:.3} px",
+        "{name}: the lens model {} is converted to {}, with an error of up to {:.3} px",
         own.name(),
         other.name(),
         deviation_px(camera, &fitted)
@@ -242,7 +242,7 @@ fn is_finite(pose: &Se3) -> bool {
 
 /// A note on names in a file that no reader knew.
 fn not_used(what: &str, names: &[&str]) -> String {
-    format!("{what}: not understood and not used: {}", names.join(", "))
+    format!("{what}: unknown and not used: {}", names.join(", "))
 }
 
 fn parse_error(path: &str, problem: impl std::fmt::Display) -> Error {

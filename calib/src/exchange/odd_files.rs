@@ -33,17 +33,17 @@ fn kalibr_chains_that_say_too_little_or_too_much() {
         (
             "[0.0, -1.0, 0.0, 0.1]\n  - [0.0, 0.0, -1.0, 0.2]\n  - [1.0, 0.0, 0.0, 0.3]\n  - [0.0, 0.0, 0.0, 1.0]",
             "[0.0, 0.0, 1.0, 0.0]\n  - [-1.0, 0.0, 0.0, 0.0]\n  - [0.0, -1.0, 0.0, 0.0]\n  - [0.1, 0.2, 0.3, 1.0]",
-            "is it written by columns?",
+            "is it written column by column?",
         ),
         (
             "-1.0, 0.2]",
             "-1.0, .nan]",
-            "has a translation that is no number",
+            "has a translation that is not a number",
         ),
         (
             "0.005",
             ".nan",
-            "a time offset or line delay that is no number",
+            "the time offset or line delay is not a number",
         ),
         (
             "rostopic",
@@ -115,7 +115,7 @@ fn camera_matrices_are_what_they_must_be() {
         (
             "536.07, 0., 342.37, 0., 536.01, 235.53, 0., 0., 1.",
             "536.07, 0., 0., 0., 536.01, 0., 342.37, 235.53, 1.",
-            "is it written by columns?",
+            "is it written column by column?",
         ),
         ("0., 0., 1. ]", "0., 0., 2. ]", "the camera matrix is"),
         (
@@ -162,7 +162,7 @@ fn values_of_basalt_that_have_no_place_are_named() {
         (
             "\"xi\": -0.2",
             "\"xi\": -0.2, \"k1\": 0.1",
-            "cam0: not understood and not used: k1",
+            "cam0: unknown and not used: k1",
         ),
         (
             "\"px\": 0.0",
@@ -210,7 +210,7 @@ fn members_of_colmaps_rigs_are_the_cameras_with_their_parameters() {
         .expect("a rig")
         .notes;
     assert!(
-        matches!(&notes[..], [n] if n.contains("taken in the order of their numbers")),
+        matches!(&notes[..], [n] if n.contains("matched in the order of their numbers")),
         "{notes:?}"
     );
     for (from, to, problem) in [
@@ -222,7 +222,7 @@ fn members_of_colmaps_rigs_are_the_cameras_with_their_parameters() {
         (
             "\"ref_sensor\": true, ",
             "\"ref_sensor\": true, \"cam_from_rig_translation\": [0.1, 0.0, 0.0], ",
-            "it is the ref_sensor, and has a cam_from_rig",
+            "it is the ref_sensor, but has a cam_from_rig",
         ),
     ] {
         assert!(RIG.contains(from), "{from}");
@@ -244,7 +244,7 @@ fn a_principal_point_outside_the_image_is_remarked() {
     let found = import_kalibr(&text, "chain.yaml").expect("a chain");
     let notes = implausible(&found.rig);
     assert!(
-        matches!(&notes[..], [n] if n.contains("a principal point at (367.2, 248.4) px, outside")),
+        matches!(&notes[..], [n] if n.contains("the principal point (367.2, 248.4) px is outside")),
         "{notes:?}"
     );
 }
@@ -261,7 +261,7 @@ fn lenses_that_do_not_exist_are_remarked() {
         (
             "[752, 480]",
             "[480, 752]",
-            "far from the middle of an image of 480 × 752 px",
+            "far from the middle of the image of 480 × 752 px",
         ),
         ("[752, 480]", "[1504, 960]", "far from the middle"),
         (

@@ -102,7 +102,7 @@ impl Omni {
             },
         };
         if rays.is_empty() || like.lens.problem().is_some() {
-            return Err("an omni lens that sees nothing of its image".to_owned());
+            return Err("the field of view of this omni lens misses its image".to_owned());
         }
         let best = [
             LensModel::KannalaBrandt,
@@ -128,7 +128,7 @@ impl Omni {
         match best {
             Some((lens, miss_px)) if miss_px <= LARGEST_MISS_PX => Ok((lens, miss_px)),
             Some((_, miss_px)) => Err(format!(
-                "this omni lens is none of ours: the nearest misses it by up to {miss_px:.1} px: calibrate with `lsfb calib camera`"
+                "no supported model fits this omni lens: the nearest has an error of {miss_px:.1} px: calibrate with `lsfb calib camera`"
             )),
             None => Err("no lens model to fit".to_owned()),
         }
@@ -180,7 +180,7 @@ mod tests {
             distortion: [0.9, -0.9, 0.1, 0.1],
             ..omni
         };
-        let error = strange.to_lens(640, 480).expect_err("none of ours");
-        assert!(error.contains("misses it by up to"), "{error}");
+        let error = strange.to_lens(640, 480).expect_err("no supported model");
+        assert!(error.contains("has an error of"), "{error}");
     }
 }

@@ -26,13 +26,13 @@ pub fn implausible(rig: &Rig) -> Vec<String> {
         let far_m = mounted.rig_from_camera.translation.norm();
         if far_m > FARTHEST_M {
             notes.push(format!(
-                "{name} is {far_m:.1} m from the rig's origin: lengths are metres, not millimetres"
+                "{name} is {far_m:.1} m from the rig's origin: lengths are in metres, not millimetres"
             ));
         }
         let late_s = mounted.timing.rig_from_camera_s;
         if late_s.abs() > LATEST_S {
             notes.push(format!(
-                "{name}: a time offset of {late_s} s: offsets are seconds, not milliseconds"
+                "{name}: a time offset of {late_s} s: offsets are in seconds, not milliseconds"
             ));
         }
         let [width, height] = [mounted.camera.width, mounted.camera.height].map(f64::from);
@@ -40,17 +40,17 @@ pub fn implausible(rig: &Rig) -> Vec<String> {
         let longer = (focal_px / focal_y_px).max(focal_y_px / focal_px);
         if longer > SQUARE_PIXELS {
             notes.push(format!(
-                "{name}: focal lengths of {focal_px} and {focal_y_px} px: pixels are square, was the order of the numbers another, or were the images stretched?"
+                "{name}: focal lengths of {focal_px} and {focal_y_px} px, but pixels are square: are the numbers in another order, or were the images stretched?"
             ));
         }
         let [x, y] = mounted.camera.principal_px();
         if !((0.0..width).contains(&x) && (0.0..height).contains(&y)) {
             notes.push(format!(
-                "{name}: a principal point at ({x:.1}, {y:.1}) px, outside an image of {width} × {height} px: width and height swapped, the order of the numbers, or the lens of another image size"
+                "{name}: the principal point ({x:.1}, {y:.1}) px is outside the image of {width} × {height} px: width and height are swapped, the numbers are in another order, or the lens is for another image size"
             ));
         } else if (x / width - 0.5).abs().max((y / height - 0.5).abs()) > OFF_CENTRE {
             notes.push(format!(
-                "{name}: a principal point at ({x:.1}, {y:.1}) px, far from the middle of an image of {width} × {height} px: width and height swapped, the order of the numbers, the lens of another image size, or cropped images"
+                "{name}: the principal point ({x:.1}, {y:.1}) px is far from the middle of the image of {width} × {height} px: width and height are swapped, the numbers are in another order, the lens is for another image size, or the images were cropped"
             ));
         }
         if let Lens::PinholeRadtan { distortion, .. } = mounted.camera.lens
@@ -58,12 +58,12 @@ pub fn implausible(rig: &Rig) -> Vec<String> {
             && p1.abs().max(p2.abs()) > MOST_TANGENTIAL
         {
             notes.push(format!(
-                "{name}: tangential distortion of {p1} and {p2}, which no lens has: is the order of the coefficients k1, k2, p1, p2?"
+                "{name}: tangential distortion of {p1} and {p2} is implausible: is the order of the coefficients k1, k2, p1, p2?"
             ));
         }
         if !FOCAL_SHARES.contains(&(focal_px / width)) {
             notes.push(format!(
-                "{name}: a focal length of {focal_px} px in an image {width} px wide: focal lengths are pixels"
+                "{name}: a focal length of {focal_px} px for an image {width} px wide: focal lengths are in pixels"
             ));
         }
     }
@@ -75,13 +75,13 @@ fn implausible_noise(noise: &ImuNoiseModel) -> Vec<String> {
     let mut notes = Vec::new();
     if !GYRO_DENSITIES.contains(&noise.gyro_noise_density) {
         notes.push(format!(
-            "a noise density of {} of the gyroscope: densities are rad/s/√Hz",
+            "gyroscope noise density of {}: the unit is rad/s/√Hz",
             noise.gyro_noise_density
         ));
     }
     if !ACCEL_DENSITIES.contains(&noise.accel_noise_density) {
         notes.push(format!(
-            "a noise density of {} of the accelerometer: densities are m/s²/√Hz",
+            "accelerometer noise density of {}: the unit is m/s²/√Hz",
             noise.accel_noise_density
         ));
     }

@@ -92,7 +92,7 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     let mut notes = Vec::new();
     if info.binning_x > 1 || info.binning_y > 1 {
         return Err(fail(format!(
-            "binning of {} × {} pixels: whether pixels are joined or left out is not said, and moves the image by up to half of one: calibrate images as they are recorded",
+            "binning of {} × {} pixels: the file does not say whether pixels are averaged or skipped, which shifts the image by up to half a pixel: calibrate images as they are recorded",
             info.binning_x, info.binning_y
         )));
     }
@@ -100,19 +100,19 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     let model = model.to_owned();
     if !is_said {
         notes.push(format!(
-            "{path}: no distortion_model in it: read as {model}"
+            "{path}: it has no distortion_model: {model} is assumed"
         ));
     }
     let roi = &info.roi;
     if roi.do_rectify {
         notes.push(format!(
-            "{path}: do_rectify is not used: a rig's lens is that of the images as they were taken"
+            "{path}: do_rectify is not used: a rig holds the lens of the unrectified images"
         ));
     }
     let is_cut = roi.width > 0 && roi.height > 0;
     let size = if is_cut {
         notes.push(format!(
-            "{path}: images are the part of {} × {} pixels from ({}, {}) on: the lens is that of this part",
+            "{path}: the images are a region of {} × {} pixels from ({}, {}): the lens is for this region",
             roi.width, roi.height, roi.x_offset, roi.y_offset
         ));
         [roi.width, roi.height]
@@ -121,13 +121,13 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     };
     let corner = [roi.x_offset, roi.y_offset].map(f64::from);
     if !is_cut && corner != [0.0; 2] {
-        return Err(fail("a region of interest without a size".to_owned()));
+        return Err(fail("the region of interest has no size".to_owned()));
     }
     let is_inside = u64::from(roi.x_offset) + u64::from(size[0]) <= u64::from(info.width)
         && u64::from(roi.y_offset) + u64::from(size[1]) <= u64::from(info.height);
     if !is_inside {
         return Err(fail(format!(
-            "a region of interest of {} × {} pixels from ({}, {}) on in an image of {} × {}",
+            "region of interest of {} × {} pixels from ({}, {}) in an image of {} × {}",
             size[0], size[1], roi.x_offset, roi.y_offset, info.width, info.height
         )));
     }
@@ -149,19 +149,19 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     }
     if k[1] != 0.0 {
         return Err(fail(format!(
-            "the camera matrix has skew {}, which no lens here has",
+            "the camera matrix has skew {}, which no lens model here supports",
             k[1]
         )));
     }
     if [k[3], k[6], k[7], k[8]] != [0.0, 0.0, 0.0, 1.0] {
         return Err(fail(format!(
-            "the camera matrix is {}, expected fx, 0, cx, 0, fy, cy, 0, 0, 1; is it written by columns?",
+            "the camera matrix is {}, expected fx, 0, cx, 0, fy, cy, 0, 0, 1; is it written column by column?",
             list(&k)
         )));
     }
     if d.is_empty() {
         notes.push(format!(
-            "{path}: no distortion coefficients in it: read as a lens that does not distort"
+            "{path}: it has no distortion coefficients: a lens without distortion is assumed"
         ));
     }
     let focal_px = [k[0], k[4]];
@@ -184,7 +184,7 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         },
         "plumb_bob" | "rational_polynomial" => {
             return Err(fail(
-                "rational distortion with k4 to k6 is not known: calibrate with `lsfb calib camera`".to_owned(),
+                "rational distortion with k4 to k6 is not supported: calibrate with `lsfb calib camera`".to_owned(),
             ));
         }
         "equidistant" | "fisheye" if d.len() == 4 => Lens::KannalaBrandt {
@@ -194,7 +194,7 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         },
         other => {
             return Err(fail(format!(
-                "distortion_model {other} with {} coefficients is not known: plumb_bob and equidistant are",
+                "distortion_model {other} with {} coefficients is not supported: use plumb_bob or equidistant",
                 d.len()
             )));
         }
@@ -209,7 +209,7 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     // That of the second camera of a rectified pair is −fx times their distance.
     if let Some(shift) = p.and_then(|p| p.get(3).copied()).filter(|t| *t != 0.0) {
         notes.push(format!(
-            "{path}: the projection matrix of a rectified pair ({shift} in its fourth column) is not read: poses of cameras come from `lsfb calib camera`"
+            "{path}: the projection matrix of a rectified pair ({shift} in its fourth column) is not used: get camera poses from `lsfb calib camera`"
         ));
     }
     let turned = info.rectification_matrix.map(|m| m.data).or(info.r);
@@ -219,7 +219,7 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
     };
     if turned.as_ref().is_some_and(is_turned) {
         notes.push(format!(
-            "{path}: the rectification matrix is not read: a rig's lens is that of the images as they were taken"
+            "{path}: the rectification matrix is not used: a rig holds the lens of the unrectified images"
         ));
     }
     notes.extend(yaml::unused(path, &info.others));
@@ -285,6 +285,6 @@ pub(super) fn export(rig: &Rig) -> Exported {
         });
     }
     out.notes
-        .push("poses and time offsets have no place in CameraInfo".to_owned());
+        .push("CameraInfo cannot hold poses and time offsets".to_owned());
     out
 }

@@ -106,7 +106,8 @@ fn kalibr_round_trip() {
     } = import_kalibr(&chain, "own").expect("a chain");
     assert_eq!(poses, PosesOf::FirstCamera);
     assert!(
-        notes[0].starts_with("no pose to an IMU in it") && notes[1].contains("not used: T_unknown"),
+        notes[0].starts_with("it has no pose relative to an IMU")
+            && notes[1].contains("not used: T_unknown"),
         "{notes:?}"
     );
     let first = rig.cameras["cam0"].rig_from_camera;
@@ -218,7 +219,7 @@ fn wrong_files_are_named() {
         (
             "camera_model: ds",
             "camera_model: sphere",
-            "camera_model sphere is not known",
+            "camera_model sphere is not supported",
         ),
         ("cam1:", "left:", "left: expected cam0"),
         ("equidistant", "radial", "pinhole with distortion radial"),
@@ -339,7 +340,7 @@ fn a_part_of_the_sensor_is_honoured_and_binning_refused() {
         (
             "x_offset: 0",
             "x_offset: 9",
-            "region of interest without a size",
+            "region of interest has no size",
         ),
         (
             "height: 0\n  width: 0",
@@ -369,7 +370,7 @@ fn opencvs_own_calibration_is_read() {
         panic!("{:?}", found.notes)
     };
     assert!(
-        model.contains("no distortion_model in it: read as plumb_bob"),
+        model.contains("it has no distortion_model: plumb_bob is assumed"),
         "{model}"
     );
     assert!(
@@ -394,7 +395,7 @@ fn units_of_a_rig_are_looked_at() {
     let notes = implausible(&rig);
     for (note, words) in notes
         .iter()
-        .zip(["83.0 m from", "offsets are seconds", "rad/s/√Hz"])
+        .zip(["83.0 m from", "offsets are in seconds", "rad/s/√Hz"])
     {
         assert!(note.contains(words), "{notes:?}");
     }
@@ -414,5 +415,8 @@ fn omni_lenses_of_kalibr_are_read() {
         "radtan\n  distortion_coeffs: [-0.1, 0.03, 0.0, 0.0]",
     );
     let notes = import_kalibr(&distorted, "omni").expect("a chain").notes;
-    assert!(notes[0].contains("the omni lens is read as"), "{notes:?}");
+    assert!(
+        notes[0].contains("the omni lens is converted to"),
+        "{notes:?}"
+    );
 }

@@ -16,7 +16,7 @@ pub(super) type Others = BTreeMap<String, Value>;
 pub(super) fn read<T: DeserializeOwned>(text: &str, path: &str) -> Result<T, Error> {
     let documents = documents(text);
     let Some((first, others)) = documents.split_first() else {
-        return Err(parse_error(path, "nothing in it"));
+        return Err(parse_error(path, "the file is empty"));
     };
     let wrong = |e: serde_norway::Error| parse_error(path, e);
     if !others.is_empty() {

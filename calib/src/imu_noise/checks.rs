@@ -38,9 +38,9 @@ fn gravity(log: &Log) -> Finding {
     let found = mean_force(log, 0..log.axes[0].len()).norm();
     let is = |unit: f64| (found * unit / GRAVITY_M_S2 - 1.0).abs() <= GRAVITY_SHARE;
     let cause = match (is(GRAVITY_M_S2), is(1e-3 * GRAVITY_M_S2)) {
-        (true, _) => ": it counts in g",
-        (_, true) => ": it counts in thousandths of g",
-        _ => ": check its unit, and that gravity was not taken off",
+        (true, _) => ": it is in units of g",
+        (_, true) => ": it is in thousandths of g",
+        _ => ": check its unit, and that gravity was not subtracted",
     };
     let what = format!(
         "it measures {found:.3} m/s² at rest{}",
@@ -53,7 +53,7 @@ fn gravity(log: &Log) -> Finding {
         what,
     )
     .value(found, "m/s²")
-    .remedy("give m/s²; noise and random walk are wrong by the same factor")
+    .remedy("convert to m/s²; noise and random walk are wrong by the same factor")
 }
 
 fn gravity_moves(log: &Log) -> Finding {
@@ -68,16 +68,16 @@ fn gravity_moves(log: &Log) -> Finding {
     let limit = Limit::AtMost(GRAVITY_MOVES_M_S2);
     let after_s = log.duration_s * part as f64 / PARTS as f64;
     let what = match limit.holds(moved) {
-        true => "gravity stays where it is".to_owned(),
+        true => "the direction of gravity is constant".to_owned(),
         false => format!(
-            "gravity is {moved:.2} m/s² elsewhere {after_s:.0} s after the start than over all of the recording: the IMU was turned, or its signs changed"
+            "{after_s:.0} s after the start, gravity differs by {moved:.2} m/s² from its mean over the recording: the IMU was turned, or its signs changed"
         ),
     };
     let verdict = Verdict::Fail.unless(limit.holds(moved));
     Finding::new("rest", verdict, "accelerometer", what)
         .value(moved, "m/s²")
         .limit(limit)
-        .remedy("record again, with the IMU at rest for all of the time")
+        .remedy("record again, with the IMU at rest the whole time")
 }
 
 fn repeated(log: &Log) -> Finding {
@@ -91,12 +91,11 @@ fn repeated(log: &Log) -> Finding {
         s if s > warn => Verdict::Warn,
         _ => Verdict::Pass,
     };
-    let what =
-        format!("{repeated} of {samples} samples are the one before once more, in all six axes");
+    let what = format!("{repeated} of {samples} samples repeat the previous one in all six axes");
     Finding::new("repeated", verdict, "samples", what)
         .value(100.0 * share, "%")
         .limit(Limit::AtMost(100.0 * warn))
-        .remedy("record at the rate at which the IMU measures: noise is understated as often as samples are repeated")
+        .remedy("record at the IMU's measuring rate: repeated samples make the noise look smaller than it is")
 }
 
 /// Axes that always say the same, and axes that say what another one does.
@@ -113,13 +112,16 @@ fn dead_and_copied(log: &Log) -> Vec<Finding> {
     for axis in 0..NAMES.len() {
         if is_dead(&axis) {
             let value = log.axes[axis].first().copied().unwrap_or_default();
-            found.push(fail(axis, format!("it says {value} in every sample")));
+            found.push(fail(
+                axis,
+                format!("constant value {value} in every sample"),
+            ));
             continue;
         }
         let triad = axis / 3 * 3;
         let copied = (triad..axis).find(|other| log.axes[*other] == log.axes[axis]);
         if let Some(other) = copied {
-            let what = format!("it says what {} does in every sample", NAMES[other]);
+            let what = format!("identical to {} in every sample", NAMES[other]);
             found.push(fail(axis, what));
         }
     }
@@ -129,9 +131,9 @@ fn dead_and_copied(log: &Log) -> Vec<Finding> {
 fn gyro_unit(density: f64) -> Finding {
     let limit = Limit::AtMost(NOISY_GYRO);
     let what = match limit.holds(density) {
-        true => "it is as noisy as gyroscopes are".to_owned(),
+        true => "noise is plausible for a gyroscope".to_owned(),
         false => {
-            "it is noisier than gyroscopes are: does it count in degrees per second?".to_owned()
+            "noise is implausibly high for a gyroscope: is the unit degrees per second?".to_owned()
         }
     };
     Finding::new(

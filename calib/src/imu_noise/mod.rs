@@ -206,15 +206,15 @@ fn random_walk(name: &str, noise: &Noise, duration_s: f64) -> Finding {
     let is_seen = of_walk >= 0.5 * noise.deviation(longest_s);
     let minutes = duration_s / 60.0;
     let what = if is_seen {
-        format!("its random walk is seen within the {minutes:.0} min")
+        format!("its random walk is visible within the {minutes:.0} min")
     } else {
         format!(
-            "its random walk hides below its other noises for all of the {minutes:.0} min: its value is an upper bound"
+            "its random walk stays below its other noise for all of the {minutes:.0} min: the value is an upper bound"
         )
     };
     Finding::new("random-walk", Verdict::Warn.unless(is_seen), name, what)
         .value(minutes, "min")
-        .remedy("record for hours to see it")
+        .remedy("record for several hours to measure it")
 }
 
 #[cfg(test)]

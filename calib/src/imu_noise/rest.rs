@@ -61,7 +61,7 @@ impl Log {
         let samples = Finding::new("missing-samples", verdict, "samples", text)
             .value(missing, "samples")
             .limit(Limit::AtMost(0.0))
-            .remedy("find out why they are lost with `lsfb doctor`: clusters are that much uneven");
+            .remedy("find out why they are lost with `lsfb doctor`: they make the clusters uneven");
         let axes: [Vec<f64>; 6] =
             std::array::from_fn(|axis| imu.iter().map(|s| value(&s.1, axis)).collect());
         if let Some(index) = axes

@@ -41,7 +41,7 @@ fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
         found
             .findings
             .iter()
-            .any(|f| f.what.contains("random walk hides"))
+            .any(|f| f.what.contains("random walk stays"))
     );
     let page = found.to_html("Noise");
     assert!(page.contains("WARN: ") && page.contains("noise density"));
@@ -148,11 +148,11 @@ fn bad_input_is_named() {
         let error = imu_noise(samples, &config).expect_err("bad input");
         error.to_string()
     };
-    assert!(error(&[]).contains("there is no sample"));
+    assert!(error(&[]).contains("there are no samples"));
     assert!(error(&at_rest(30, 50, 0.01)).contains("it lasts 30.0 s"));
     let mut moved = at_rest(100, 50, 0.01);
     moved[42 * 50 + 3].1.angular_velocity_rad_s[1] = 1.0;
-    assert!(error(&moved).contains("it moves 42 s after its start"));
+    assert!(error(&moved).contains("it moves 42 s after the start"));
     let mut broken = at_rest(100, 50, 0.01);
     broken[7].1.specific_force_m_s2[2] = f64::NAN;
     assert!(error(&broken).contains("sample 7 is not a number"));

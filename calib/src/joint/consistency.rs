@@ -128,7 +128,7 @@ pub(super) fn judge(
         .all(|f: &Finding| f.verdict == Verdict::Pass);
     if !relative && redundancy > 0 && factor > most && are_good {
         let what = format!(
-            "all transforms together miss by {:.1} times what their covariances say",
+            "residuals of all transforms together are {:.1} times what their covariances predict",
             factor.sqrt()
         );
         let finding = Finding::new("variance", Verdict::Warn, "covariances", what)
@@ -136,7 +136,7 @@ pub(super) fn judge(
             .limit(Limit::AtMost(most));
         findings
             .push(finding.remedy(
-                "one of the steps is too sure of itself: repeat it with another recording",
+                "the covariance of one of the steps is too small: repeat that step with another recording",
             ));
     }
     if relative && graph.iter().any(|e| e.measured) {
@@ -147,11 +147,11 @@ pub(super) fn judge(
             .map(|(_, e)| name(e))
             .collect();
         let what = format!(
-            "{} without measured covariance: the paper's is so wide that it hardly counts beside those that are measured",
+            "{} without a measured covariance: the paper's covariance is so large that they hardly count beside the measured ones",
             without.join(", ")
         );
         let finding = Finding::new("weights", Verdict::Warn, "covariances", what);
-        findings.push(finding.remedy("give the transforms of `lsfb calib` with their covariances"));
+        findings.push(finding.remedy("pass transforms of `lsfb calib`, which include covariances"));
     }
     findings
 }
@@ -186,11 +186,11 @@ fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
         several => {
             let subjects: Vec<String> = several.iter().map(|e| name(e)).collect();
             let what = format!(
-                "one of these contradicts all others: {}; they follow each other in every loop",
+                "one of these contradicts all others: {}; every loop contains all of them, so that they cannot be told apart",
                 names.join(" or ")
             );
             Some(finding(subjects.join(", "), what).remedy(
-                "measure them again, or add a transform to another sensor that tells which",
+                "measure them again, or add a transform to another sensor that tells them apart",
             ))
         }
     }
@@ -200,7 +200,7 @@ fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
 fn agreement(edge: &EdgeConsistency, relative: bool) -> Finding {
     let subject = name(edge);
     let Some(chi_square) = edge.chi_square else {
-        let what = format!("nothing checks {subject}: no other path joins its ends");
+        let what = format!("{subject} is unchecked: no other path connects the two sensors");
         return Finding::new("unchecked", Verdict::Warn, subject, what)
             .remedy("add a transform that closes a loop");
     };
@@ -219,7 +219,7 @@ fn agreement(edge: &EdgeConsistency, relative: bool) -> Finding {
             return Finding::new("wide-loop", verdict, subject, what)
                 .value(value, unit)
                 .limit(Limit::AtMost(most))
-                .remedy("measure the transforms of these sensors again: no rig is better than its loops");
+                .remedy("measure the transforms of these sensors again: the rig cannot be more accurate than its loops");
         }
     }
     Finding::new("loop", Verdict::Pass, subject, what)

@@ -67,7 +67,7 @@ impl GraphEdge {
             .filter(|w| w.iter().all(|x| x.is_finite()))
             .ok_or_else(|| Error::Parse {
                 path: name(),
-                problem: "its covariance is not positive".to_owned(),
+                problem: "its covariance is not positive definite".to_owned(),
             })?;
         Ok(Self {
             target: target.clone(),

@@ -49,14 +49,14 @@ impl JointCalibration {
         html! {
             section {
                 h2 { "Loops" }
-                p { "Each transform against the path through all others (redundancy " (self.redundancy) ", variance factor " (format!("{:.2}", self.variance_factor)) ")." }
+                p { "Each transform compared with the path through all others (redundancy " (self.redundancy) ", variance factor " (format!("{:.2}", self.variance_factor)) ")." }
                 (scroll(&self.loops()))
             }
             @if self.edges.iter().any(|e| e.chi_square.is_some()) {
                 div.plots {
                     figure {
                         (self.bars("rotations of loops", "rotation (°)", |e| Some(e.loop_rotation_rad?.to_degrees())))
-                        figcaption { "Rotation by which each transform misses its loops" }
+                        figcaption { "Rotation error of each transform around its loops" }
                     }
                     figure {
                         (self.bars("translations of loops", "translation (mm)", |e| Some(e.loop_translation_m? * 1e3)))
@@ -64,7 +64,7 @@ impl JointCalibration {
                     }
                     figure {
                         (self.bars("chi-square of loops", "χ²", |e| e.chi_square))
-                        figcaption { "χ² of six numbers: six on average, above 22 in one of a thousand" }
+                        figcaption { "χ² with six degrees of freedom: 6 on average, above 22 in one of a thousand cases" }
                     }
                 }
             }

@@ -43,7 +43,7 @@ pub(super) fn swapped(
             let left = adjust(&other)?.cost;
             if left < EXPLAINED * cost && best.as_ref().is_none_or(|b| left < b.0) {
                 let what = format!(
-                    "{a} and {b} are swapped in the transforms to {where_to}: with their names exchanged there the loops close"
+                    "{a} and {b} are swapped in the transforms to {where_to}: the loops close if their names are exchanged there"
                 );
                 let finding = Finding::new("swapped", Verdict::Fail, format!("{a}, {b}"), what);
                 let remedy = "check which transform belongs to which sensor";

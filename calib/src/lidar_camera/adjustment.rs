@@ -97,7 +97,7 @@ pub(super) fn adjust(
                 rejected.push((
                     out.scene,
                     format!(
-                        "its plane is {:.0} σ off where the other poses have it: the board moved, or image and scan do not belong together",
+                        "its plane is {:.0} σ off the prediction from the other poses: the board moved, or image and scan do not belong together",
                         error.sqrt()
                     ),
                 ));

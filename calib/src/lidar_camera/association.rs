@@ -237,7 +237,7 @@ fn check_tilts(scenes: &[Scene], joined: &Joined, config: &LidarCameraConfig) ->
             "any direction along the board".to_owned()
         } else {
             format!(
-                "the direction {} of the LiDAR",
+                "the LiDAR's direction {}",
                 direction_name(&facing.cross(&axis))
             )
         },

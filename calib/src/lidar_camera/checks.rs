@@ -63,11 +63,11 @@ impl LidarCameraCalibration {
         let finding = |what| Finding::new("place", Verdict::Warn, &*self.camera, what);
         self.findings.push(match better {
             Some((name, _)) => finding(format!(
-                "found where the rig has {name}: their images are swapped, or their names"
+                "was found where the rig has {name}: their images or their names are swapped"
             ))
             .remedy("check which images belong to which camera"),
             None => finding(format!(
-                "the rig has it {:.1}° and {:.0} mm away from what was found",
+                "its pose differs by {:.1}° and {:.0} mm from the rig's",
                 turn_rad.to_degrees(),
                 shift_m * 1e3
             ))
@@ -99,7 +99,7 @@ fn shift(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<Finding> {
         (found[k] + board.offset_m[k]).abs() < limit
     });
     let place = format!(
-        "the plate's middle lies {:+.0}, {:+.0} mm from that of the corners, {:+.0}, {:+.0} mm was said",
+        "the plate's centre is at {:+.0}, {:+.0} mm from the centre of the corners, but {:+.0}, {:+.0} mm was given",
         found[0] * 1e3,
         found[1] * 1e3,
         board.offset_m[0] * 1e3,
@@ -110,7 +110,7 @@ fn shift(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<Finding> {
     Some(if opposite {
         let what = format!("the pattern is upside down on its plate: {place}");
         board_finding("plate-offset", what, off_mm, limit_mm)
-            .remedy("turn the sign of --plate-offset-m")
+            .remedy("change the sign of --plate-offset-m")
     } else {
         board_finding("plate-offset", place, off_mm, limit_mm).remedy("measure it")
     })
@@ -131,7 +131,7 @@ pub(super) fn findings(
         pattern_excess(board, c.scale, c.scale_sigma).to_string()
     } else {
         format!(
-            "the pattern is as large as said, by the LiDAR (± {:.1} %)",
+            "according to the LiDAR, the pattern size is as specified (± {:.1} %)",
             100.0 * c.scale_sigma
         )
     };
@@ -152,7 +152,7 @@ pub(super) fn findings(
         if c.edge_excess_m[k].abs() > limit_m {
             let longer_mm = 2e3 * c.edge_excess_m[k];
             let what = format!(
-                "the plate looks {longer_mm:+.0} mm longer along the pattern's {side} axis than was said"
+                "the plate looks {longer_mm:+.0} mm longer along the pattern's {side} axis than given"
             );
             let finding = board_finding("plate-size", what, longer_mm, 2e3 * limit_m);
             out.push(finding.remedy("measure it"));
@@ -173,7 +173,7 @@ pub(super) fn findings(
         Finding::new("points", Verdict::Warn.unless(2 * few <= of), "lidar", what)
             .value(few as f64, "boards")
             .limit(Limit::AtMost((of / 2) as f64))
-            .remedy("bring the board nearer"),
+            .remedy("bring the board closer"),
     );
     out
 }
@@ -185,7 +185,7 @@ fn poses_left_out(c: &LidarCameraCalibration) -> Finding {
     Finding::new("poses", Verdict::Warn.unless(is_good), "poses", what)
         .value(left_out as f64, "poses")
         .limit(Limit::AtMost((c.poses.len() / 4) as f64))
-        .remedy("see the table for the reasons")
+        .remedy("see the table of poses for the reasons")
 }
 
 /// Times of scans against those of images, where boards moved.
@@ -195,10 +195,10 @@ fn clocks(c: &LidarCameraCalibration) -> Option<Finding> {
     let is_good = late_s.abs() <= limit_s;
     let (late_ms, sigma_ms) = (late_s * 1e3, sigma_s * 1e3);
     let what = if is_good {
-        format!("scans and images agree in time by how boards moved (± {sigma_ms:.0} ms)")
+        format!("scans and images of moving boards agree in time (± {sigma_ms:.0} ms)")
     } else {
         format!(
-            "scans are stamped {:.0} ± {sigma_ms:.0} ms {} than images, by how boards moved",
+            "according to moving boards, scans are stamped {:.0} ± {sigma_ms:.0} ms {} than images",
             late_ms.abs(),
             if late_s > 0.0 { "later" } else { "earlier" }
         )
@@ -226,7 +226,7 @@ fn precision(c: &LidarCameraCalibration) -> [Finding; 2] {
     let (turn_deg, shift_mm) = (c.sigma[turn].to_degrees(), c.sigma[shift] * 1e3);
     let limit = Limit::AtMost(GOOD_ROTATION_DEG);
     let what = format!(
-        "rotation about the LiDAR's {} axis is known to {turn_deg:.2}°",
+        "rotation about the LiDAR's {} axis: standard deviation {turn_deg:.2}°",
         axis(turn)
     );
     let rotation = Finding::new(
@@ -240,7 +240,7 @@ fn precision(c: &LidarCameraCalibration) -> [Finding; 2] {
     .remedy("record more poses, with the board near the border of the image");
     let limit = Limit::AtMost(GOOD_TRANSLATION_M * 1e3);
     let what = format!(
-        "translation along the LiDAR's {} axis is known to {shift_mm:.0} mm",
+        "translation along the LiDAR's {} axis: standard deviation {shift_mm:.0} mm",
         axis(shift)
     );
     let translation = Finding::new(
@@ -251,7 +251,7 @@ fn precision(c: &LidarCameraCalibration) -> [Finding; 2] {
     )
     .value(shift_mm, "mm")
     .limit(limit)
-    .remedy("tilt the board so that it faces along it more");
+    .remedy("tilt the board so that it faces more in that direction");
     [rotation, translation]
 }
 
@@ -260,11 +260,11 @@ fn spreads(c: &LidarCameraCalibration) -> impl Iterator<Item = Finding> {
     let causes = [
         (
             "corners",
-            "check that the lens is that of these images, and that the board is flat",
+            "check that the lens belongs to these images, and that the board is flat",
         ),
         (
             "planes",
-            "check that the board is flat and stood still; else the LiDAR's beams differ from each other, or measure black and white differently",
+            "check that the board is flat and stood still; otherwise the LiDAR's beams have different offsets, or measure black and white differently",
         ),
         (
             "outlines",
@@ -274,7 +274,7 @@ fn spreads(c: &LidarCameraCalibration) -> impl Iterator<Item = Finding> {
     causes.into_iter().zip(c.spread).map(|((name, remedy), spread)| {
         let limit = Limit::AtMost(LARGE_SPREAD);
         let what = format!(
-            "{name} miss by {spread:.1} times what their noise explains, which is in the standard deviations"
+            "residuals of {name} are {spread:.1} times their expected noise; the standard deviations account for that"
         );
         Finding::new("spread", Verdict::Warn.unless(limit.holds(spread)), name, what)
             .value(spread, "")

@@ -36,7 +36,7 @@ impl LidarCameraCalibration {
             .to_degrees();
         let shift = self.sigma[3..].iter().fold(0.0, |a: f64, b| a.max(*b)) * 1e3;
         format!(
-            "{} and LiDAR from {used} poses: known to {turn:.3}° and {shift:.1} mm (1 σ), middles of the board meet to {:.1} mm",
+            "{} and LiDAR from {used} poses: standard deviation {turn:.3}° and {shift:.1} mm; board centres agree to {:.1} mm",
             self.camera,
             self.center_rms_m * 1e3
         )
@@ -68,8 +68,8 @@ impl LidarCameraCalibration {
             @if let Some(picture) = picture {
                 section {
                     h2 { "LiDAR on the image" }
-                    p { "Returns of one scan, red near to blue far: they should end where the board ends." }
-                    img src=(picture) alt="returns of the LiDAR over an image";
+                    p { "Returns of one scan, red (near) to blue (far): they should end at the edge of the board." }
+                    img src=(picture) alt="LiDAR returns over an image";
                 }
             }
             section { h2 { "Poses" } (scroll(&self.pose_list())) }
@@ -95,52 +95,55 @@ impl LidarCameraCalibration {
         let largest = self.beam_offsets_m.values();
         let largest_m = largest.fold(0.0, |a: f64, b| a.max(b.abs()));
         let mut rows = vec![
-            ("noise of one range, mm", mm(self.range_noise_m)),
-            ("common to a beam on one board, mm", mm(self.beam_noise_m)),
-            ("largest offset of a beam, mm", mm(largest_m)),
+            ("range noise, mm", mm(self.range_noise_m)),
             (
-                "excess of half the width, mm",
+                "noise common to a beam on one board, mm",
+                mm(self.beam_noise_m),
+            ),
+            ("largest beam offset, mm", mm(largest_m)),
+            (
+                "excess half width, mm",
                 with_sigma(self.edge_excess_m[0], self.edge_excess_sigma_m[0]),
             ),
             (
-                "excess of half the height, mm",
+                "excess half height, mm",
                 with_sigma(self.edge_excess_m[1], self.edge_excess_sigma_m[1]),
             ),
             (
-                "excess of every range, mm",
+                "range offset, mm",
                 with_sigma(self.range_excess_m, self.range_excess_sigma_m),
             ),
             (
-                "camera's scale over LiDAR's",
+                "scale of camera relative to LiDAR",
                 format!("{:.4} ± {:.4}", self.scale, self.scale_sigma),
             ),
             (
-                "spread of corners, planes, outlines over expected",
+                "residuals over expected noise: corners, planes, outlines",
                 self.spread.map(|s| format!("{s:.2}")).join(", "),
             ),
         ];
         if let (Some(excess_m), Some(sigma_m)) = (self.dark_excess_m, self.dark_excess_sigma_m) {
             let excess = with_sigma(excess_m, sigma_m);
-            rows.push(("dark parts farther than bright ones, mm", excess));
+            rows.push(("range excess of dark over bright parts, mm", excess));
         }
         if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
             let halves = format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3);
-            rows.push(("every other pose against the rest", halves));
+            rows.push(("every other pose vs. the rest", halves));
         }
         if let (Some(shift), Some(turn)) = (self.holdout_center_rms_m, self.holdout_normal_rms_rad)
         {
             let holdout = format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees());
-            rows.push(("holdout poses: middles, normals (rms)", holdout));
+            rows.push(("held-out poses: centres, normals (rms)", holdout));
         }
         let offsets =
             [0, 1].map(|k| with_sigma(self.offset_error_m[k], self.offset_error_sigma_m[k]));
         rows.push((
-            "plate's middle from where it was said, mm",
+            "plate centre relative to the given one, mm",
             offsets.join(", "),
         ));
         if let (Some(late), Some(sigma)) = (self.lidar_late_s, self.lidar_late_sigma_s) {
             let late = format!("{:+.1} ± {:.1}", late * 1e3, sigma * 1e3);
-            rows.push(("scans stamped late against images, ms", late));
+            rows.push(("delay of scan stamps relative to images, ms", late));
         }
         html! {
             table.numbers {
@@ -163,32 +166,32 @@ impl LidarCameraCalibration {
         html! {
             figure {
                 (coverage("corners per part of the image", &self.cells, COVERAGE_CELLS, self.image_px).draw())
-                figcaption { "Corners per part of the image, dark where there are many; none in red parts" }
+                figcaption { "Corners by part of the image: dark where there are many; red parts have none" }
             }
             figure {
-                (spread("ranges less those of their planes", &self.residuals.ranges_m, RANGES_M))
-                figcaption { "Ranges less those of their planes" }
+                (spread("range residuals to the planes", &self.residuals.ranges_m, RANGES_M))
+                figcaption { "Range residuals to the planes" }
             }
             figure {
-                (spread("places on the outlines", &self.residuals.edges_m, EDGES_M))
-                figcaption { "Places on the outlines, across them" }
+                (spread("residuals at the outlines", &self.residuals.edges_m, EDGES_M))
+                figcaption { "Residuals of outline points, across the outline" }
             }
             figure {
                 // Errors that all point one way, or away from one place, are no noise.
-                (arrows("errors of the middles", &centers, EXAGGERATION, self.image_px).draw())
-                figcaption { "Middles of the board in the image, and where the LiDAR has them: errors × " (EXAGGERATION) }
+                (arrows("errors of board centres", &centers, EXAGGERATION, self.image_px).draw())
+                figcaption { "Board centres: camera vs. LiDAR; errors × " (EXAGGERATION) }
             }
             figure {
                 (self.bars("distance", "distance (m)", |p| p.distance_m))
-                figcaption { "Distance of the board, by pose" }
+                figcaption { "Distance to the board, by pose" }
             }
             figure {
-                (self.bars("errors of the middles by pose", "error (mm)", |p| p.center_error_m * 1e3))
-                figcaption { "Distance between the board's middles, by pose" }
+                (self.bars("errors of board centres by pose", "error (mm)", |p| p.center_error_m * 1e3))
+                figcaption { "Distance between board centres, by pose" }
             }
             figure {
-                (self.bars("errors of the normals by pose", "error (°)", |p| p.normal_error_rad.to_degrees()))
-                figcaption { "Angle between its normals, by pose" }
+                (self.bars("errors of board normals by pose", "error (°)", |p| p.normal_error_rad.to_degrees()))
+                figcaption { "Angle between board normals, by pose" }
             }
         }
     }
@@ -196,7 +199,7 @@ impl LidarCameraCalibration {
     fn pose_list(&self) -> Markup {
         html! {
             table.numbers {
-                thead { tr { th { "pose" } th { "distance, m" } th { "points" } th { "edges" } th { "middle, mm" } th { "normal, °" } th { "corners, px" } th { "" } } }
+                thead { tr { th { "pose" } th { "distance, m" } th { "points" } th { "edges" } th { "centre, mm" } th { "normal, °" } th { "corners, px" } th { "" } } }
                 tbody {
                     @for p in &self.poses {
                         tr {

@@ -61,7 +61,7 @@ pub fn poses_from_folder(
         let Some(number) = last_number(&path) else {
             return Err(Error::Parse {
                 path: path.display().to_string(),
-                problem: "no number in its name: it says to which image the cloud belongs"
+                problem: "its name has no number, which says to which image the cloud belongs"
                     .to_owned(),
             });
         };
@@ -69,7 +69,7 @@ pub fn poses_from_folder(
             return Err(Error::Parse {
                 path: path.display().to_string(),
                 problem: format!(
-                    "has the same number as {}: name the ones that count with FOLDER/PREFIX*SUFFIX",
+                    "has the same number as {}: select one of them with FOLDER/PREFIX*SUFFIX",
                     other.display()
                 ),
             });

@@ -85,7 +85,7 @@ pub(super) fn build(
         Kernel::Squared,
     )?;
     let shift_block = problem.add_block(Vector2::<f64>::zeros());
-    problem.set_name(shift_block.id(), "middle of the plate");
+    problem.set_name(shift_block.id(), "centre of the plate");
     if shift == Shift::Free {
         problem.add_residual(
             VectorPrior::new(Vector2::zeros(), Vector2::repeat(SHIFT_SIGMA_M)),

@@ -232,11 +232,11 @@ fn unused(scene: &Scene) -> PoseFit {
     let why = if !scene.seen_by_camera() {
         "the camera does not see the board"
     } else if scene.in_lidar.is_empty() {
-        "no patch in the scan is like the board: at least three beams must meet it, and it must stand free, with all of its sides in view"
+        "no patch in the scan looks like the board: at least three beams must hit it, and it must stand free, with all of its sides in view"
     } else {
-        "no patch in the scan is where the other poses put the board"
+        "no patch in the scan matches the pose of the board from the other poses"
     };
-    let of_copy = |of: &String| format!("its image is that of {of} once more");
+    let of_copy = |of: &String| format!("its image duplicates that of {of}");
     let why = scene
         .copy_of
         .as_ref()

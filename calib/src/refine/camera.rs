@@ -280,7 +280,7 @@ impl CameraRefinement<'_> {
         refinement.sentence = match &refusal {
             Some(why) => why.to_string(),
             None if found.is_no_change(&change) => format!(
-                "the rig was right, as far as can be seen; {}",
+                "no significant change to the rig; {}",
                 refinement.in_words()
             ),
             None => refinement.in_words(),

@@ -38,8 +38,8 @@ impl RefinementReport {
             section {
                 h2 { "How this was estimated" }
                 p.note {
-                    "Corners of images are put onto planes that the LiDAR saw, and found in other images from elsewhere: where they should be rests on the LiDAR's way, on the planes, and on the pose of the camera to the LiDAR. "
-                    "Corners, planes and the way may err by what the table says, which is measured along. Standard deviations take in by how much parts of the recording differ, and three tenths of the errors of planes and of the way as if all parts shared them."
+                    "Image corners are placed on planes seen by the LiDAR and found in other images from other viewpoints. Their predicted positions depend on the LiDAR's trajectory, the planes, and the camera's pose relative to the LiDAR. "
+                    "The errors of corners, planes and trajectory are estimated as well, as listed. Standard deviations include the differences between parts of the recording, and three tenths of the errors of planes and trajectory as if all parts shared them."
                 }
             }
         };
@@ -63,7 +63,7 @@ fn section(c: &Refinement, picture: &dyn Fn(&str, Compared) -> String) -> Markup
                     @for which in [Compared::Before, Compared::After] {
                         figure.large {
                             img src=(picture(&c.camera, which)) alt=(which.name());
-                            figcaption { (which.name()) ": returns red near to blue far" }
+                            figcaption { (which.name()) ": returns, red (near) to blue (far)" }
                         }
                     }
                 }
@@ -76,7 +76,7 @@ fn numbers(components: &[Component], e: &Evidence) -> Markup {
     let median = |px: f64| format!("{px:.2} px");
     let pose = html! {
         table.numbers {
-            thead { tr { th { "about or along the camera's axis" } th { "change" } th { "σ" } th { "halves differ" } th { "" } } }
+            thead { tr { th { "camera axis (rotation about, translation along)" } th { "change" } th { "σ" } th { "difference of halves" } th { "" } } }
             tbody {
                 @for (k, half) in components.iter().zip(e.halves) {
                     tr {
@@ -84,7 +84,7 @@ fn numbers(components: &[Component], e: &Evidence) -> Markup {
                         td { @if let Some(v) = k.change { (format!("{:+.3}", k.shown(v))) } @else { "–" } }
                         td { (format!("{:.3}", k.shown(k.sigma))) }
                         td { @if k.change.is_some() { (format!("{:+.3}", k.shown(half))) } @else { "–" } }
-                        td { @if k.change.is_none() { "not determined: left as it was" } }
+                        td { @if k.change.is_none() { "not determined; left unchanged" } }
                     }
                 }
             }
@@ -94,13 +94,13 @@ fn numbers(components: &[Component], e: &Evidence) -> Markup {
         table.numbers {
             tbody {
                 tr { td { "corners on surfaces, seen" } td { (e.corners) ", " (e.observations) " times in " (e.images) " images" } }
-                tr { td { "corners put from image to image: as the rig was" } td { (median(e.transfer.before_px)) } }
-                tr { td { "now" } td { (median(e.transfer.after_px)) } }
-                tr { td { "in holdout parts" } td { (median(e.transfer.held_back_px)) } }
-                tr { td { "halves of the recording, squared in σ" } td { (format!("{:.1}", e.halves_square)) " (6 expected)" } }
-                tr { td { "noise of a corner, of surfaces" } td { (format!("{:.2} px, {:.1} mm", e.pixel_px, e.plane_m * 1e3)) } }
-                tr { td { "the LiDAR's way, by image" } td { (format!("{:.3}°, {:.1} mm", e.image_turn_rad.to_degrees(), e.image_shift_m * 1e3)) } }
-                tr { td { "parts, variance over that of noise" } td { (e.blocks) ", " (format!("{:.1}", e.inflation)) } }
+                tr { td { "transfer error between images: initial rig" } td { (median(e.transfer.before_px)) } }
+                tr { td { "refined rig" } td { (median(e.transfer.after_px)) } }
+                tr { td { "in held-out parts" } td { (median(e.transfer.held_back_px)) } }
+                tr { td { "χ² between halves of the recording" } td { (format!("{:.1}", e.halves_square)) " (6 expected)" } }
+                tr { td { "noise of corners, of surfaces" } td { (format!("{:.2} px, {:.1} mm", e.pixel_px, e.plane_m * 1e3)) } }
+                tr { td { "deviation of images from the LiDAR's trajectory" } td { (format!("{:.3}°, {:.1} mm", e.image_turn_rad.to_degrees(), e.image_shift_m * 1e3)) } }
+                tr { td { "parts, variance relative to noise" } td { (e.blocks) ", " (format!("{:.1}", e.inflation)) } }
                 tr { td { "camera's clock" } td { (format!("{:+.2} ± {:.2} ms", e.clock_s[0] * 1e3, e.clock_s[1] * 1e3)) } }
             }
         }
@@ -125,17 +125,17 @@ fn figures(e: &Evidence) -> Markup {
     html! {
         div.plots {
             figure {
-                (plots::counts("errors of corners", "error (σ)", span, &bins, Normal::Unit))
-                figcaption { "Errors of corners over their σ; dashed: what noise gives" }
+                (plots::counts("normalized corner errors", "error (σ)", span, &bins, Normal::Unit))
+                figcaption { "Corner errors in units of their σ; dashed: expected distribution" }
             }
             (plots::mean_errors(&e.cell_errors_px, e.size_px))
             figure {
                 (coverage("corners per part of the image", &e.coverage, COVERAGE_CELLS, e.size_px).draw())
-                figcaption { "Corners per part of the image, dark where there are many; none in red parts" }
+                figcaption { "Corners by part of the image: dark where there are many; red parts have none" }
             }
             figure {
-                (by_axis("turning", "turning (°/s)", &e.turning_rad_s, 1f64.to_degrees()))
-                figcaption { "Turning about the camera's axes, rms" }
+                (by_axis("angular rate", "angular rate (°/s)", &e.turning_rad_s, 1f64.to_degrees()))
+                figcaption { "Angular rate about the camera's axes, rms" }
             }
             figure {
                 (by_axis("speed", "speed (m/s)", &e.speed_m_s, 1.0))

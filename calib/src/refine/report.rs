@@ -154,7 +154,7 @@ impl Evidence {
         order.sort_by(|a, b| self.turning_rad_s[*a].total_cmp(&self.turning_rad_s[*b]));
         let [least, next, _] = order.map(|k| ["x", "y", "z"][k]);
         Some(format!(
-            "for {}: turn the rig more about the camera's {least} and {next} axes, walk past furniture and pictures within 5 m, and record longer",
+            "to determine {}: rotate the rig more about the camera's {least} and {next} axes, walk past furniture and pictures within 5 m, and record longer",
             missing.join(", ")
         ))
     }
@@ -174,7 +174,7 @@ impl Refinement {
         let mut words = Vec::new();
         if found(true).next().is_some() {
             words.push(format!(
-                "turned by {:.3}° ± {:.3}°",
+                "rotated by {:.3}° ± {:.3}°",
                 change(true).to_degrees(),
                 sigma(true).to_degrees()
             ));
@@ -194,7 +194,7 @@ impl Refinement {
             .collect();
         if !lost.is_empty() {
             words.push(format!(
-                "not determined and left as it was: {}",
+                "not determined and left unchanged: {}",
                 lost.join(", ")
             ));
         }
@@ -224,7 +224,7 @@ impl Refinement {
             let limit = Limit::AtMost(HALVES_AGREE);
             let agrees = limit.holds(evidence.halves_square);
             let what = format!(
-                "halves of the recording differ by {:.1} in squared σ of six numbers",
+                "halves of the recording differ with χ² = {:.1} (6 degrees of freedom)",
                 evidence.halves_square
             );
             let halves = Finding::new("halves", Verdict::Warn.unless(agrees), &*self.camera, what);
@@ -244,12 +244,13 @@ impl Refinement {
     fn lens(&self, evidence: &Evidence) -> Finding {
         let turn_deg = evidence.image_turn_rad.to_degrees();
         let limit = Limit::AtMost(WORRYING_TURN_DEG);
-        let what = format!("images turn by {turn_deg:.3}° each beside the LiDAR's way");
+        let what =
+            format!("each image is rotated by {turn_deg:.3}° relative to the LiDAR's trajectory");
         let verdict = Verdict::Warn.unless(limit.holds(turn_deg));
         Finding::new("images", verdict, &*self.camera, what)
             .value(turn_deg, "°")
             .limit(limit)
-            .remedy("the lens may not be that of these images, or the LiDAR's way is poor: its pose is then off by more than its standard deviation; calibrate the lens (`lsfb calib camera`) and refine again")
+            .remedy("the lens may not belong to these images, or the LiDAR's trajectory is poor, and the pose is then off by more than its standard deviation; calibrate the lens (`lsfb calib camera`) and refine again")
     }
 
     /// A clock that is not synchronised.
@@ -265,7 +266,7 @@ impl Refinement {
             finding
                 .value(offset_ms.abs(), "ms")
                 .limit(limit)
-                .remedy("synchronise it; a wrong lens shows as a clock as well"),
+                .remedy("synchronise it; a wrong lens can also look like a clock offset"),
         )
     }
 }
@@ -275,7 +276,7 @@ impl RefinementReport {
     pub fn summary(&self) -> String {
         let placed = self.cameras.iter().filter(|c| c.edge.is_some()).count();
         format!(
-            "{placed} of {} cameras placed to the LiDAR without a board",
+            "{placed} of {} cameras calibrated to the LiDAR without a board",
             self.cameras.len()
         )
     }
@@ -283,7 +284,7 @@ impl RefinementReport {
     /// Whether the result may be used, and how far.
     pub fn judgement(&self) -> Judgement {
         let missing = self.missing.iter().map(|(camera, why)| {
-            let what = format!("the rig has this camera, and nothing is said of it: {why}");
+            let what = format!("the rig has this camera, but it was not checked: {why}");
             Finding::new("camera-missing", Verdict::Warn, camera, what)
         });
         let findings = self.cameras.iter().flat_map(Refinement::findings);

@@ -34,7 +34,7 @@ const CAUSES: [Cause; 5] = [
         columns: [STRETCH, 2],
         words: |_, by| {
             format!(
-                "a board that is {:+.2} % longer along y and whose corners are {:+.2}° from right angles: measure both of its edges and diagonals",
+                "a board that is {:+.2} % longer along y, with corners {:+.2}° off right angles: measure both of its edges and diagonals",
                 by[0] * 100.0,
                 by[1].atan().to_degrees()
             )
@@ -51,7 +51,7 @@ const CAUSES: [Cause; 5] = [
             ];
             let most = bends.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
             format!(
-                "a board that is bent by {:.1} mm: glue it to a stiff plate",
+                "a board bent by {:.1} mm: glue it to a stiff plate",
                 most * 1e3
             )
         },
@@ -60,14 +60,14 @@ const CAUSES: [Cause; 5] = [
         columns: [SHUTTER, 1],
         words: |_, by| {
             format!(
-                "a shutter that rolls, {:.1} ms from the first row to the last: give the rig its readout_s, or have it searched (readout = \"estimated\")",
+                "a rolling shutter with {:.1} ms readout: set readout_s in the rig, or estimate it (readout = \"estimated\")",
                 by[0] * 1e3
             )
         },
     },
     Cause {
         columns: [PROFILE, RINGS],
-        words: |_, _| "a lens of another model: try another --model".to_owned(),
+        words: |_, _| "another lens model: try another --model".to_owned(),
     },
 ];
 
@@ -93,7 +93,7 @@ impl Sums {
         (dominant && share > LEAST_OF_TIMES).then(|| Explained {
             share,
             words: format!(
-                "views that were taken {:.1} ms rms off their stamps: these jitter or jump",
+                "views taken {:.1} ms rms off their stamps, which jitter or jump",
                 (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
             ),
             is_another_gap: false,
@@ -116,7 +116,7 @@ impl Sums {
         let of_views = Explained {
             share: self.of_poses / (self.of_poses + self.squares).max(1e-12),
             words: format!(
-                "poses of the views that do not follow the IMU (each alone is met to {:.2} px): the board is of another size, the IMU's noise is understated, or clocks jump",
+                "poses of the views that do not follow the IMU (reprojection error of each alone is {:.2} px): the board has another size, the specified IMU noise is too small, or clocks jump",
                 (self.squares / self.corners.max(1.0)).max(0.0).sqrt()
             ),
             is_another_gap: false,

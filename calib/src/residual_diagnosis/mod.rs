@@ -36,7 +36,7 @@ const MOST: f64 = 0.5;
 const LEAST_MOVED_PX: f64 = 0.1;
 /// Ratio of errors between outer and inner thirds that is worth a word.
 const GROWS: f64 = 1.5;
-const CORRECT_IT: &str = "measure the board, correct what was said of it, and calibrate again";
+const CORRECT_IT: &str = "measure the board, correct its description, and calibrate again";
 /// A readout time is clear from so many standard deviations on, and worth a word from here on, seconds: at half a metre a second and a metre
 /// away a lens of 500 px is then half a pixel off.
 const CLEAR_SHUTTER: f64 = 6.0;
@@ -122,7 +122,7 @@ impl<'a> Diagnosis<'a> {
         let worse = Verdict::Fail
             .unless(limit(FAILED_RMS_PX))
             .max(Verdict::Warn);
-        let met = format!("corners are met to {rms_px:.2} px");
+        let met = format!("reprojection error is {rms_px:.2} px");
         if let Some(times) = self.sums.off_their_stamps() {
             return (
                 worse,
@@ -148,7 +148,7 @@ impl<'a> Diagnosis<'a> {
             |e| explained(&e),
         );
         let what = format!(
-            "corners miss by {rms_px:.2} px, a detector leaves 0.1 to 0.4 px; {}; {cause}",
+            "reprojection error is {rms_px:.2} px (detectors reach 0.1 to 0.4 px), {}; {cause}",
             self.places.words()
         );
         (worse, what, CORRECT_IT)
@@ -166,7 +166,7 @@ impl<'a> Diagnosis<'a> {
         if !cause.is_another_gap || cause.share < least {
             return None;
         }
-        let what = format!("it is not the board of the file: {}", explained(&cause));
+        let what = format!("it is not the specified board: {}", explained(&cause));
         let finding = Finding::new("tag-gaps", Verdict::Fail, camera, what)
             .value(100.0 * cause.share, "%")
             .limit(Limit::AtMost(100.0 * least));
@@ -181,7 +181,7 @@ impl<'a> Diagnosis<'a> {
             return None;
         }
         let what = format!(
-            "its shutter rolls, {:.1} ± {:.1} ms from the first row to the last by how far corners miss: the lens is wrong by more than is said",
+            "rolling shutter detected ({:.1} ± {:.1} ms readout); the lens is less accurate than its standard deviations",
             1e3 * found.readout_s,
             1e3 * found.sigma_s
         );
@@ -190,7 +190,7 @@ impl<'a> Diagnosis<'a> {
             .sigma(1e3 * found.sigma_s)
             .limit(Limit::AtMost(1e3 * LEAST_READOUT_S));
         Some(finding.remedy(
-            "say the camera's readout_s in the rig that is given (--rig), or hold board and camera still for each image",
+            "set the camera's readout_s in the rig (--rig), or hold board and camera still for each image",
         ))
     }
 
@@ -238,7 +238,7 @@ fn spread_over(views: usize) -> usize {
 
 fn explained(e: &Explained) -> String {
     format!(
-        "{:.0} % of the squares would be explained by {}",
+        "{:.0} % of the squared residuals would be explained by {}",
         e.share * 100.0,
         e.words
     )
@@ -293,9 +293,9 @@ impl Places {
             }
         }
         if grows.is_empty() {
-            "alike in all parts of image and board".to_owned()
+            "equally large in all parts of image and board".to_owned()
         } else {
-            format!("they grow from {}", grows.join(", from "))
+            format!("growing from {}", grows.join(", from "))
         }
     }
 }

@@ -238,7 +238,7 @@ impl OtherLens {
         };
         let [others, these] = self.values;
         let what = format!(
-            "not all images were taken through one lens: {} of {} ({}) have {} = {these:.1} px, the others {others:.1} px, {:.1} ± {:.1} px apart: images of two cameras are mixed, or zoom or focus moved",
+            "not all images were taken with one lens: {} of {} ({}) have {} = {these:.1} px, the others {others:.1} px, {:.1} ± {:.1} px apart: images of two cameras are mixed, or zoom or focus changed",
             self.these.iter().filter(|s| **s).count(),
             self.all.len(),
             self.named(names),
@@ -251,7 +251,7 @@ impl OtherLens {
             .value((these - others).abs(), "px")
             .sigma(self.sigma)
             .limit(Limit::AtMost(WORRYING.deviations * self.sigma));
-        finding.remedy("calibrate each camera from its own images alone, with zoom and focus fixed")
+        finding.remedy("calibrate each camera from its own images only, with zoom and focus fixed")
     }
 
     /// Which these are: a stretch of all, or the first of them.

@@ -37,7 +37,7 @@ impl Sums {
             variance,
         } = self.own_lens(camera)?;
         let fits = format!(
-            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another",
+            "the given lens does not fit these images: another one would explain {:.0} % of the squared residuals",
             100.0 * taken / self.squares
         );
         let finding = |what| {
@@ -52,7 +52,9 @@ impl Sums {
             clear(*a).total_cmp(&clear(*b))
         });
         let Some(clearest) = clearest else {
-            return Some(finding(format!("{fits}; which, they do not tell")));
+            return Some(finding(format!(
+                "{fits}; the images do not determine which"
+            )));
         };
         let value = lens.values[clearest] + step[clearest];
         let what = format!(

@@ -115,7 +115,7 @@ fn the_cause_is_named_with_its_size() {
 
     let text = said(views(flat, LENS, 0.02));
     assert!(
-        text.contains("rolls, 20.") || text.contains("rolls, 19."),
+        text.contains("shutter with 20.") || text.contains("shutter with 19."),
         "{text}"
     );
     assert!(text.contains("in slow views"), "{text}");
@@ -165,7 +165,7 @@ fn noise_alone_is_blamed_on_nothing() {
     let flat = |k: usize| grid(0.3).corner(k);
     let text = said(views(flat, LENS, 0.0));
     assert!(
-        text.contains("alike in all parts") && text.contains("likely causes are"),
+        text.contains("equally large in all parts") && text.contains("likely causes are"),
         "{text}"
     );
     let (target, camera) = (grid(0.3), camera(LENS));

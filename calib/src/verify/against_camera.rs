@@ -42,7 +42,7 @@ pub(super) fn all(
     }
     for ((name, _), _) in present.iter().zip(alone).filter(|(_, alone)| *alone) {
         checks.push(Check {
-            sentence: "no other camera sees enough of what this one sees, from another place: its mounting is checked by gyroscope and LiDAR alone".to_owned(),
+            sentence: "no other camera sees enough of the same scene from another position: its mounting is checked against gyroscope and LiDAR only".to_owned(),
             ..Check::unknown("epipolar", format!("{name} epipolar"), "px", config.epipolar_px)
         });
     }
@@ -117,9 +117,9 @@ fn pair(
     }
     if found.signed.len() < LEAST_MATCHES {
         check.sentence = match pairs.len() {
-            0 => "no two images were taken within 2 ms, as the rig has their clocks: trigger both together".to_owned(),
+            0 => "no two images were taken within 2 ms, according to the rig's clocks: trigger both cameras together".to_owned(),
             n => format!(
-                "{} corners of {n} pairs of images were found in both, {LEAST_MATCHES} are needed: a longer recording, with things to see where both look, would tell",
+                "{} corners of {n} image pairs were found in both, but {LEAST_MATCHES} are needed: record longer, with objects where both cameras look",
                 found.signed.len()
             ),
         };
@@ -133,11 +133,11 @@ fn pair(
     check.outcome = judged(size, sigma, config.epipolar_px);
     check.sentence = match check.outcome {
         Verdict::Pass => format!(
-            "{} corners lie on their curves (median {signed:+.2} px)",
+            "{} corners lie on their epipolar lines (median {signed:+.2} px)",
             errors.len()
         ),
         _ => format!(
-            "{} corners miss their curves by {signed:+.2} px in the median: one of the two cameras was moved, or they are not triggered together",
+            "{} corners are off their epipolar lines by {signed:+.2} px (median): one of the two cameras moved, or they are not triggered together",
             errors.len()
         ),
     };

@@ -31,7 +31,7 @@ pub(super) fn against_gyro(
     );
     let Some(gyro) = gyro else {
         for check in [&mut time, &mut rotation] {
-            "the recording has no gyroscope: record the rig's IMU with its cameras"
+            "the recording has no gyroscope: record the rig's IMU together with its cameras"
                 .clone_into(&mut check.sentence);
         }
         return vec![time, rotation];
@@ -44,15 +44,15 @@ pub(super) fn against_gyro(
         Err(inconclusive) => {
             let why = match inconclusive {
                 Inconclusive::TooFewPairs(n) => format!(
-                    "{n} pairs of images follow the gyroscope, 30 are needed: a longer recording, and something to see, would tell"
+                    "{n} image pairs follow the gyroscope, but 30 are needed: record longer, with more to see"
                 ),
-                Inconclusive::TooLittleTurning(rate) => format!(
-                    "it turns by {rate:.3} rad/s only about a second axis: turning more would tell"
-                ),
+                Inconclusive::TooLittleTurning(rate) => {
+                    format!("rotation about a second axis is only {rate:.3} rad/s: rotate more")
+                }
                 Inconclusive::EndOfSearch(offset_s) => {
                     time.outcome = Verdict::Fail;
                     format!(
-                        "no time offset within {:.0} ms makes images follow the gyroscope: the clocks are not those of one rig",
+                        "no time offset within {:.0} ms aligns the images with the gyroscope: their clocks do not belong to one rig",
                         offset_s.abs() * 1e3
                     )
                 }
@@ -75,13 +75,13 @@ fn judge_time(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
     check.sentence = match check.outcome {
         Verdict::Unknown => unclear(sigma_ms, "ms"),
         Verdict::Pass => format!(
-            "images and gyroscope agree in time over {} pairs of images; {:.0} ms would move the image by {:.1} px while it turns as here",
+            "images and gyroscope agree in time over {} image pairs; at this motion, {:.0} ms would move the image by {:.1} px",
             found.pairs,
             check.limits[0],
             moved_px(check.limits[0])
         ),
         _ => format!(
-            "images were taken {:.1} ms {} than the rig says, which moves them by {:.1} px while it turns as here: check triggers and clocks, or calibrate camera and IMU again",
+            "images were taken {:.1} ms {} than the rig says, which moves them by {:.1} px at this motion: check triggers and clocks, or calibrate camera and IMU again",
             offset_ms.abs(),
             if offset_ms > 0.0 { "later" } else { "earlier" },
             moved_px(offset_ms.abs())
@@ -101,9 +101,9 @@ fn judge_rotation(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
     check.sigma = Some(sigma_deg);
     check.sentence = match check.outcome {
         Verdict::Unknown => unclear(sigma_deg, "°"),
-        Verdict::Pass => "the camera turns as the gyroscope does".to_owned(),
+        Verdict::Pass => "the camera's rotation agrees with the gyroscope".to_owned(),
         _ => format!(
-            "the camera is turned by {off_deg:.1}° about the rig's {} axis: it was moved, or the rig is another's",
+            "the camera is rotated by {off_deg:.1}° about the rig's {} axis: it was moved, or the rig belongs to another device",
             ["x", "y", "z"][off.iamax()]
         ),
     };

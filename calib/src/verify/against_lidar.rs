@@ -115,7 +115,7 @@ pub(super) fn against_lidar(
                 ),
                 Verdict::Pass => format!("{} of LiDAR and images agree", found.what),
                 _ => format!(
-                    "{} of LiDAR and images agree better when the camera is turned by {off:.2}° about its {} axis: it was moved, or calibrate LiDAR and camera again",
+                    "{} of LiDAR and images agree better if the camera is rotated by {off:.2}° about its {} axis: it was moved, or calibrate LiDAR and camera again",
                     found.what,
                     ["x", "y", "z"][found.turn.iamax()]
                 ),
@@ -123,9 +123,9 @@ pub(super) fn against_lidar(
         }
         None => {
             check.sentence = if scans.is_empty() {
-                "the recording has no scans: record the LiDAR with the cameras"
+                "the recording has no scans: record the LiDAR together with the cameras"
             } else {
-                "too few scans with images of the same time, with anything to see in both: record a place with posts, pictures and furniture"
+                "too few scans with simultaneous images, with enough to see in both: record a place with posts, pictures and furniture"
             }
             .to_owned();
         }

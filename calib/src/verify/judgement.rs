@@ -32,7 +32,9 @@ pub(super) fn judged(value: f64, sigma: f64, limits: [f64; 2]) -> Verdict {
 
 /// What is said where an answer is too uncertain to be one.
 pub(super) fn unclear(sigma: f64, unit: &str) -> String {
-    format!("known to {sigma:.1} {unit} only: more turning, before things with corners, would tell")
+    format!(
+        "standard deviation is {sigma:.1} {unit}, too large: rotate more, in front of objects with corners"
+    )
 }
 
 #[cfg(test)]

@@ -141,7 +141,7 @@ pub fn verify(
     let (present, absent) = recorded::cameras(recording, rig);
     checks.extend(absent.into_iter().map(|(name, why)| Check {
         outcome: Verdict::Warn,
-        sentence: format!("the rig has this camera, and nothing is said of it: {why}"),
+        sentence: format!("the rig has this camera, but it was not checked: {why}"),
         ..Check::unknown(
             "camera-missing",
             format!("{name} in the recording"),
@@ -206,12 +206,12 @@ fn rotation_name(camera: &str) -> String {
 
 /// Name of the check whether a camera's clock keeps its offset.
 fn time_drift_name(camera: &str) -> String {
-    format!("{camera} time offset all along")
+    format!("{camera} time offset over time")
 }
 
 /// Name of the check whether a camera keeps its axes.
 fn mount_drift_name(camera: &str) -> String {
-    format!("{camera} rotation all along")
+    format!("{camera} rotation over time")
 }
 
 /// As it stands in tables: `PASS`.

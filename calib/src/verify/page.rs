@@ -13,15 +13,15 @@ impl Verification {
                 h2 { "Checks" }
                 (scroll(&self.table()))
                 p.note {
-                    "A check warns beyond its first limit and fails beyond its second, where that is clear of three standard deviations; where these exceed the second limit it says nothing. "
-                    "Two milliseconds move the image by a pixel while the rig turns at 1 rad/s (500 px of focal length); half a degree between camera and IMU is one per cent of every motion; "
+                    "A check warns beyond its first limit and fails beyond its second if the value exceeds three standard deviations; if three standard deviations exceed the second limit, the result is unknown. "
+                    "Two milliseconds move the image by a pixel while the rig rotates at 1 rad/s (500 px of focal length); half a degree between camera and IMU is one per cent of every motion; "
                     "0.4° between camera and LiDAR are 2 cm at 3 m; corners are found to a third of a pixel."
                 }
             }
             @for o in &self.overlays {
                 section {
                     h2 { (o.camera) }
-                    p { (o.points) " returns of the LiDAR, red near to blue far: their edges should lie on those of the image." }
+                    p { (o.points) " LiDAR returns, red (near) to blue (far): their edges should lie on those of the image." }
                     img src=(picture(&o.camera)) alt=(o.camera);
                 }
             }

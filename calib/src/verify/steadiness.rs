@@ -61,7 +61,7 @@ pub(super) fn steadiness(
             Some(found) => judge(check, &found),
             None => {
                 check.sentence = format!(
-                    "{} of its parts tell by themselves, two are needed: a longer recording, with turning all along, would tell",
+                    "{} parts of the recording are usable on their own, but two are needed: record longer, with rotation throughout",
                     parts.len()
                 );
             }
@@ -139,15 +139,15 @@ fn judge(check: &mut Check, found: &Difference<'_>) {
     let (value, unit) = (found.value, check.unit);
     check.sentence = match (found.verdict, check.code) {
         (Verdict::Unknown, _) => format!(
-            "{when} it is known to {:.1} {unit} only: more turning all along would tell",
+            "{when}, standard deviation is {:.1} {unit}, too large: rotate more throughout",
             found.sigma
         ),
-        (Verdict::Pass, _) => format!("at most {value:.1} {unit} {when}"),
+        (Verdict::Pass, _) => format!("changes by at most {value:.1} {unit} {when}"),
         (_, "time-drift") => format!(
-            "{when} the time offset changes by {value:.1} ms: the camera's clock drifts or jumped, and no offset in the rig is right all along"
+            "{when}, the time offset changes by {value:.1} ms: the camera's clock drifts or jumped, and no fixed offset in the rig is right"
         ),
         _ => format!(
-            "{when} the camera turns by {value:.1}° against the IMU: it was knocked, or its mount gives way"
+            "{when}, the camera rotates by {value:.1}° relative to the IMU: it was knocked, or its mount is loose"
         ),
     };
 }

@@ -272,7 +272,7 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
     let error = verify(&recording, &other, &config, &no_progress)
         .expect_err("size")
         .to_string();
-    assert!(error.contains("images of 256 × 160"), "{error}");
+    assert!(error.contains("images are 256 × 160"), "{error}");
 }
 
 #[test]
@@ -335,11 +335,11 @@ fn a_clock_that_changes_on_the_way_is_found() {
     let recording = Recording::open(&path).expect("a recording");
     let config = VerifyConfig::default();
     let found = verify(&recording, &rig, &config, &no_progress).expect("verified");
-    let check = outcome(&found, "cam0 time offset all along");
+    let check = outcome(&found, "cam0 time offset over time");
     assert_eq!(check.outcome, Verdict::Fail, "{:?}", found.checks);
     let off_ms = check.value.expect("found") - 12.0;
     assert!(off_ms.abs() < 2.5, "{check:?}");
-    let mount = outcome(&found, "cam0 rotation all along");
+    let mount = outcome(&found, "cam0 rotation over time");
     assert_eq!(mount.outcome, Verdict::Pass, "{mount:?}");
     assert_eq!(found.with_measured_clocks(&rig), (rig.clone(), Vec::new()));
 

@@ -25,7 +25,7 @@ impl ClockReport {
     /// Whether each clock ran through, and how well its time is known.
     pub fn judgement(&self) -> Judgement {
         if self.imported {
-            let found = "imported from another program: no host received it, so that its stamps stand alone";
+            let found = "imported from another program: no host received the data, so that its stamps cannot be checked";
             let finding = Finding::new("import", Verdict::Unknown, "clocks", found);
             return Judgement::new(vec![
                 finding.remedy("align it with another recording of the same walk by `lsfb align`"),
@@ -33,7 +33,7 @@ impl ClockReport {
         }
         if let Some(pace) = self.pace {
             let found = format!(
-                "not recorded in real time ({pace:.2} s of the devices' counters per second of arrivals), a replay or a simulation: arrivals say nothing about clocks"
+                "not recorded in real time ({pace:.2} s of the devices' counters per second of arrivals): in a replay or a simulation, arrivals say nothing about clocks"
             );
             let finding = Finding::new("pace", Verdict::Unknown, "clocks", found);
             return Judgement::new(vec![
@@ -43,7 +43,7 @@ impl ClockReport {
             ]);
         }
         if self.devices.is_empty() {
-            let found = "no device with a counter of its own";
+            let found = "no device has a counter of its own";
             let finding = Finding::new("devices", Verdict::Unknown, "clocks", found);
             return Judgement::new(vec![finding]);
         }
@@ -73,7 +73,7 @@ fn judged(clock: &DeviceClock) -> Vec<Finding> {
     )
     .value(steps as f64, "")
     .limit(Limit::AtMost(0.0))
-    .remedy("check what sets it: its pulse and sentence, a restart, or the host's clock");
+    .remedy("check what sets it: its PPS and NMEA sentence, a restart, or the host's clock");
     let worst_us = clock.epochs.iter().map(|e| e.sigma_us).fold(0.0, f64::max);
     let limit = Limit::AtMost(GOOD_SIGMA_US);
     let verdict = match clock.epochs.len() {
@@ -81,17 +81,17 @@ fn judged(clock: &DeviceClock) -> Vec<Finding> {
         _ => Verdict::Warn.unless(limit.holds(worst_us)),
     };
     let found = match verdict {
-        Verdict::Unknown => "too few stamps to estimate it".to_owned(),
-        _ => format!("its time is known to {worst_us:.1} µs"),
+        Verdict::Unknown => "too few stamps for an estimate".to_owned(),
+        _ => format!("standard deviation of its time: {worst_us:.1} µs"),
     };
     let sigma = Finding::new("clock-sigma", verdict, &*clock.device, found)
         .value(worst_us, "µs")
         .limit(limit)
-        .remedy("record longer, or synchronise the device by a pulse");
+        .remedy("record longer, or synchronise the device by PPS");
     let mut findings = vec![step, sigma, recorded(clock)];
     if clock.mode_changes > 0 {
         let found = format!(
-            "locked for a part of the recording and fitted for another: changed {}",
+            "locked for part of the recording and fitted for another: changed {}",
             match clock.mode_changes {
                 1 => "once".to_owned(),
                 n => format!("{n} times"),
@@ -100,7 +100,7 @@ fn judged(clock: &DeviceClock) -> Vec<Finding> {
         let change = Finding::new("clock-changes", Verdict::Warn, &*clock.device, found)
             .value(clock.mode_changes as f64, "")
             .limit(Limit::AtMost(0.0));
-        findings.push(change.remedy("begin to record when the device is locked"));
+        findings.push(change.remedy("start recording once the device is locked"));
     }
     findings
 }
@@ -120,11 +120,13 @@ fn recorded(clock: &DeviceClock) -> Finding {
         (false, false) => Verdict::Fail,
     };
     let found = match verdict {
-        Verdict::Unknown => "too few stamps to compare what was recorded".to_owned(),
-        _ => format!("its recorded stamps lie within {scatter_ms:.2} ms rms of the estimate"),
+        Verdict::Unknown => "too few stamps to check the recorded ones".to_owned(),
+        _ => format!("its recorded stamps agree with the estimate to {scatter_ms:.2} ms rms"),
     };
     Finding::new("recorded-stamps", verdict, &*clock.device, found)
         .value(scatter_ms, "ms")
         .limit(limit)
-        .remedy("look at the plot where they leave it: a lock that came or went, a second that was named wrongly, a restart")
+        .remedy(
+            "look at the plot where they differ: lock gained or lost, a wrong second, a restart",
+        )
 }

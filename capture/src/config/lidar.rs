@@ -172,11 +172,13 @@ impl LidarNetConfig {
             ANY => None,
             name => Some(Model::from_key(name).ok_or_else(|| {
                 let known = Model::keys();
-                refused(format!("model = {name:?} is none of {ANY}, {known}"))
+                refused(format!(
+                    "model = {name:?} is unknown: expected {ANY}, {known}"
+                ))
             })?),
         };
         if self.force_returns.is_some() && model.is_none() {
-            let problem = "force_returns needs the model that the packets are of";
+            let problem = "force_returns needs the model of the LiDAR";
             return Err(refused(problem.to_owned()));
         }
         let angles = match &self.angles {

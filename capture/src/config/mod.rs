@@ -144,7 +144,7 @@ impl DevicesConfig {
                 let count = unit.names.len();
                 format!("{count} images do not fill a frame of {width}x{height}")
             } else if let Some(name) = unit.names.iter().find(|n| !known.insert(n.as_str())) {
-                format!("{name} is there twice")
+                format!("{name} occurs twice")
             } else {
                 continue;
             };
@@ -235,7 +235,7 @@ pub(crate) fn check_device_names<'a>(
     for name in names {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
         let problem = if name.is_empty() || !name.chars().all(is_plain) {
-            "a name is made of letters, digits and underscores"
+            "a name consists of letters, digits and underscores"
         } else if !known.insert(name) {
             "two devices have this name"
         } else {

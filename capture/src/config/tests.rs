@@ -128,11 +128,8 @@ fn cameras_that_share_a_name_or_do_not_fill_a_frame_are_refused() {
         assert!(with(good).check().is_ok(), "{good:?}");
     }
     for (bad, expected) in [
-        (&[&["cam0", "cam0"][..]][..], "cam0 is there twice"),
-        (
-            &[&["cam0", "cam1"], &["cam1", "cam2"]],
-            "cam1 is there twice",
-        ),
+        (&[&["cam0", "cam0"][..]][..], "cam0 occurs twice"),
+        (&[&["cam0", "cam1"], &["cam1", "cam2"]], "cam1 occurs twice"),
         (
             &[&["a", "b", "c"]],
             "3 images do not fill a frame of 1280x400",

@@ -57,7 +57,7 @@ impl Findings {
             Ok(found) => found,
             Err(error) => {
                 let finding = Finding::new("rig", Verdict::Warn, "rig", error.to_string());
-                self.add(finding.remedy("name one where it is needed: `--rig rig.toml`"));
+                self.add(finding.remedy("pass one where it is needed: `--rig rig.toml`"));
                 return Ok(None);
             }
         };
@@ -70,7 +70,7 @@ impl Findings {
             && *stated != found.sha256
         {
             let text = format!(
-                "the recorder wrote hash {} for a rig whose hash is {}: the rig was changed afterwards, or the recording was put together from two",
+                "the recorder wrote hash {}, but the rig has hash {}: the rig was changed afterwards, or the recording was assembled from two",
                 short(stated),
                 short(&found.sha256)
             );
@@ -91,11 +91,11 @@ impl Findings {
         let finding = |verdict, text| Finding::new("calibration-age", verdict, "calibration", text);
         if found.calibrated_unix_s.is_none() {
             let text = format!("{hash}, calibrated at an unknown time");
-            let remedy = "calibrate with `lsfb calib`, which writes calibrated_unix_s into the rig, or write it there yourself";
+            let remedy = "calibrate with `lsfb calib`, which writes calibrated_unix_s into the rig, or set it by hand";
             return self.add(finding(Verdict::Warn, text).remedy(remedy));
         }
         let Some(days) = found.age_days else {
-            let text = format!("{hash}; nothing was measured to compare its age with");
+            let text = format!("{hash}; its age is unknown without measurements");
             return self.add(finding(Verdict::Unknown, text));
         };
         let text = match days.abs() {
@@ -109,7 +109,7 @@ impl Findings {
         let finding = finding(verdict, text)
             .value(days.abs(), "days")
             .limit(limit);
-        self.add(finding.remedy("see whether it still fits with `lsfb calib verify`"));
+        self.add(finding.remedy("check with `lsfb calib verify` whether it still fits"));
     }
 
     /// Whether the parts of the recording that lie beside this one carry the same calibration.
@@ -121,7 +121,7 @@ impl Findings {
         let other = |part: &Part| match &part.sha256 {
             Some(hash) if *hash == found.sha256 => None,
             Some(hash) => Some(format!("{} carries {}", part.name, short(hash))),
-            None => Some(format!("{} carries none", part.name)),
+            None => Some(format!("{} has no rig", part.name)),
         };
         let others: Vec<String> = parts.iter().filter_map(other).collect();
         let finding = |verdict, text| {
@@ -133,7 +133,7 @@ impl Findings {
         } else {
             let text = format!("{} here, but {}", short(&found.sha256), others.join(", "));
             finding(Verdict::Warn, text)
-                .remedy("work on each part with the rig that was on the device then")
+                .remedy("process each part with the rig that was on the device then")
         });
     }
 }

@@ -85,17 +85,17 @@ fn judge_changes(device: &str, told: &[Told]) -> Option<Finding> {
         false => Verdict::Fail,
     };
     let found = format!(
-        "went from {before} to {after} on the way, where its stamps moved by {step_secs:+.3} s{}",
+        "went from {before} to {after} during the recording, and its stamps moved by {step_secs:+.3} s{}",
         match stretches.len() {
             2 => String::new(),
-            n => format!(", and {} changes in all", n - 1),
+            n => format!(", with {} changes in total", n - 1),
         }
     );
     let finding = Finding::new("clock-changes", verdict, format!("clock {device}"), found)
         .value(step_secs.abs(), "s")
         .limit(limit);
     Some(finding.remedy(
-        "begin to record when the device is locked, and keep this machine on UTC by chrony: stamps before and after do not fit together",
+        "start recording once the device is locked, and keep this machine on UTC with chrony: stamps before and after are not consistent",
     ))
 }
 
@@ -124,26 +124,26 @@ fn judge(device: &str, told: &[Told], config: &DoctorConfig) -> Finding {
     let subject = format!("clock {device}");
     let finding = |verdict, found: String| Finding::new("clock", verdict, subject, found);
     let Some(Told { model, .. }) = told.last() else {
-        let found = "what the recorder wrote of it cannot be read";
+        let found = "the recorder's data about it cannot be read";
         return finding(Verdict::Unknown, found.to_owned());
     };
     // One message is the last, and says how it ended.
     let when = match told {
-        [_] => " (at the end; --full looks at all of the recording)",
+        [_] => " (at the end; --full checks the whole recording)",
         _ => "",
     };
     let epochs = told.iter().map(|t| t.model.epoch).max().unwrap_or(1);
     let pulse = "check the cable and the antenna of the GNSS receiver";
     if model.kind == HOLDOVER {
         let sigma_us = model.sigma_ns / 1e3;
-        let found = format!("lost its pulse and ran on its own quartz: within {sigma_us:.0} µs");
+        let found = format!("lost its PPS and ran on its own quartz: within {sigma_us:.0} µs");
         let finding = finding(Verdict::Warn, found).value(sigma_us, "µs");
         return finding.remedy(pulse);
     }
     if let Some((secs, sigma_ns)) = longest_holdover(told) {
         let sigma_us = sigma_ns / 1e3;
         let found = format!(
-            "lost its pulse for {secs:.1} s at a time and ran on its own quartz: within {sigma_us:.0} µs"
+            "lost its PPS for up to {secs:.1} s and ran on its own quartz: within {sigma_us:.0} µs"
         );
         return finding(Verdict::Warn, found)
             .value(sigma_us, "µs")
@@ -151,26 +151,26 @@ fn judge(device: &str, told: &[Told], config: &DoctorConfig) -> Finding {
     }
     if model.kind == LOCKED {
         if epochs <= 1 {
-            return finding(Verdict::Pass, format!("names the second itself{when}"));
+            return finding(Verdict::Pass, format!("locked to UTC{when}"));
         }
         let found = format!(
-            "names the second itself, and was set {} meanwhile",
+            "locked to UTC, but was set {} in between",
             times(epochs - 1)
         );
-        return finding(Verdict::Warn, found).remedy("see when and by how much with `lsfb clock`");
+        return finding(Verdict::Warn, found).remedy("run `lsfb clock` for details");
     }
     let mut sigmas_us: Vec<f64> = told.iter().map(|t| t.model.sigma_ns / 1e3).collect();
     sigmas_us.sort_by(|a, b| b.total_cmp(a));
     let sigma_us = sigmas_us[(BEGINNING * sigmas_us.len() as f64) as usize];
     let by = match model.kind.as_str() {
-        EXCHANGED => "by exchanges of times",
-        _ => "fitted to arrival",
+        EXCHANGED => "from clock exchanges",
+        _ => "fitted to arrivals",
     };
     let found = format!(
         "{by}: σ {sigma_us:.1} µs{}{when}, skew {:.2} ± {:.2} ppm, {}",
         match told {
             [_] => "",
-            _ => " but for a fifth of the time",
+            _ => " except for a fifth of the time",
         },
         model.skew * 1e6,
         model.sigma_skew * 1e6,
@@ -184,7 +184,7 @@ fn judge(device: &str, told: &[Told], config: &DoctorConfig) -> Finding {
     finding(Verdict::Warn.unless(is_good), found)
         .value(sigma_us, "µs")
         .limit(limit)
-        .remedy("see what happened with `lsfb clock`")
+        .remedy("run `lsfb clock` for details")
 }
 
 fn times(count: u32) -> String {
@@ -237,11 +237,7 @@ mod tests {
         roof[10..20].fill((HOLDOVER, 300.0));
         let found = judged(&roof);
         assert_eq!(found.verdict, Verdict::Warn);
-        assert!(
-            found.what.contains("for 10.0 s at a time"),
-            "{}",
-            found.what
-        );
+        assert!(found.what.contains("for up to 10.0 s"), "{}", found.what);
         // Uncertain at first, as every fitted clock is; and for half of the time.
         let limit_us = DoctorConfig::default().warn_sigma_us;
         let mut fitted = [("fitted", 0.5 * limit_us); 30];
@@ -259,7 +255,7 @@ mod tests {
         clock[12] = (HOLDOVER, 2.0);
         let found = judged(&clock);
         assert_eq!(found.verdict, Verdict::Warn);
-        assert!(found.what.contains("for 1.0 s at a time"), "{}", found.what);
+        assert!(found.what.contains("for up to 1.0 s"), "{}", found.what);
     }
 
     /// The last model says "locked", and so it passed.

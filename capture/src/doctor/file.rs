@@ -11,14 +11,14 @@ const COUNTS: &[(&str, &str)] = &[
     ("bad", "unreadable"),
     ("missing", "missing"),
     ("reordered", "too late for their scan"),
-    ("kept_out", "of another LiDAR kept out"),
+    ("kept_out", "from another LiDAR, rejected"),
     ("dropped", "dropped"),
     ("interruptions", "interruptions"),
     ("silences", "silences"),
-    ("slowdowns", "times far too slow"),
-    ("stale", "times nothing new"),
+    ("slowdowns", "stretches with a much too low rate"),
+    ("stale", "stretches of repeated data"),
 ];
-const RECOVER: &str = "make a whole file of what is left with `lsfb recover`";
+const RECOVER: &str = "repair the file with `lsfb recover`";
 
 /// Whether what was found wrong is that the file ends too early.
 fn is_cut_off(reason: &str) -> bool {
@@ -29,7 +29,7 @@ impl Findings {
     /// Whether index and end are there, and where in time what is missing was.
     pub(super) fn file(&mut self, recording: &Recording, arrivals: &[TopicArrivals]) {
         if recording.damage().is_empty() {
-            let found = "index and end are there";
+            let found = "index and end of file are present";
             return self.add(Finding::new("file", Verdict::Pass, "file", found));
         }
         let last = arrivals.iter().filter_map(|a| a.times.last()).max();
@@ -39,7 +39,7 @@ impl Findings {
         for damage in recording.damage() {
             let found = if is_cut_off(&damage.reason) {
                 format!(
-                    "{damage}{until}; a recorder that was interrupted had at most one second more, a copy that was cut off may lack any length"
+                    "{damage}{until}; if the recorder was interrupted, at most one more second is missing; if a copy was truncated, any amount may be missing"
                 )
             } else {
                 damage.to_string()
@@ -76,15 +76,15 @@ impl Findings {
         let nobody_counted = damage.any(|d| is_cut_off(&d.reason) || !d.is_loss());
         self.add(if missing.is_empty() && nobody_counted {
             let found = format!(
-                "{indexed} messages were found; how many were written is not known without the file's own end"
+                "{indexed} messages were found; without the end of the file it is unknown how many were written"
             );
             finding(Verdict::Unknown, found).remedy(RECOVER)
         } else if missing.is_empty() {
-            let found = format!("the index holds all {written} messages that were written");
+            let found = format!("the index lists all {written} messages that were written");
             finding(Verdict::Pass, found)
         } else {
             let found = format!(
-                "the index holds {indexed} of {written} messages that were written ({}): part of the file was overwritten",
+                "the index lists {indexed} of {written} messages that were written ({}): part of the file was overwritten",
                 missing.join(", ")
             );
             finding(Verdict::Fail, found).remedy(RECOVER)
@@ -111,11 +111,11 @@ impl Findings {
             .collect();
         let without = recording.chunks_without_checksum()?;
         if new.is_empty() && without == 0 {
-            let found = "every chunk unpacks and has its checksum".to_owned();
+            let found = "every chunk can be decompressed and has the right checksum".to_owned();
             self.add(finding(Verdict::Pass, found));
         } else if without > 0 {
             let found = format!(
-                "{without} chunks have no checksum: their records are walked, and whether what is in them is as it was written nobody can tell"
+                "{without} chunks have no checksum: their structure is valid, but their content cannot be verified"
             );
             self.add(finding(Verdict::Unknown, found));
         }
@@ -130,7 +130,7 @@ impl Findings {
         let (Some(part), Some(previous)) = (session.get("part"), session.get("previous")) else {
             return;
         };
-        let found = format!("number {part} of a recording, after {previous}");
+        let found = format!("part {part} of a recording, after {previous}");
         self.add(Finding::new("part", Verdict::Pass, "part", found));
     }
 
@@ -176,7 +176,7 @@ fn lost_parts(health: &serde_json::Value) -> Vec<String> {
         .and_then(|g| g.get("incomplete"))
         .and_then(serde_json::Value::as_u64);
     if let Some(groups) = groups.filter(|g| *g > 0) {
-        parts.push(format!("{groups} triggers without all images"));
+        parts.push(format!("{groups} triggers with missing images"));
     }
     parts
 }

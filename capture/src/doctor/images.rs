@@ -75,7 +75,7 @@ impl Findings {
 
     fn seen_by(&mut self, topic: &str, seen: &CameraCounts) {
         let looked_at = seen.images + seen.unreadable;
-        let of = format!("in {looked_at} images that were looked at");
+        let of = format!("in {looked_at} images checked");
         let mut problem = |verdict, found: String, remedy: &str| {
             let found = format!("{found}, {of}");
             self.add(Finding::new("images", verdict, topic, found).remedy(remedy));
@@ -83,11 +83,11 @@ impl Findings {
         let mut is_well = true;
         if seen.unreadable > 0 {
             let found = format!("{} images cannot be read", seen.unreadable);
-            problem(Verdict::Fail, found, "look at the program that wrote them");
+            problem(Verdict::Fail, found, "check the program that wrote them");
             is_well = false;
         }
         if let Some(found) = seen.stamps.problem() {
-            let remedy = "see when and by how much with `lsfb clock`";
+            let remedy = "run `lsfb clock` for details";
             problem(Verdict::Fail, format!("stamps {found}"), remedy);
             is_well = false;
         }
@@ -98,13 +98,17 @@ impl Findings {
         }
         let stretches = seen.repeats.stale().stretches();
         if stretches > 0 {
-            let found = format!("{stretches} times the same image for more than a second");
+            let found = format!("{stretches} stretches of the same image for more than a second");
             problem(Verdict::Fail, found, "restart the camera; check its cable");
             is_well = false;
         }
         for (count, what, remedy) in [
-            (seen.black, "black", "take off its cap, or expose longer"),
-            (seen.white, "white", "lower the exposure"),
+            (
+                seen.black,
+                "black",
+                "remove the lens cap, or increase the exposure",
+            ),
+            (seen.white, "white", "reduce the exposure"),
         ] {
             if 2 * count > seen.images {
                 let found = format!("{count} of them are {what}");
@@ -114,12 +118,12 @@ impl Findings {
         }
         if seen.images == 0 {
             let found = match seen.is_of_another_encoding {
-                true => "what they show was not looked at: only grey images are read",
-                false => "what they show was not looked at",
+                true => "content not checked: only grey images are supported",
+                false => "content not checked",
             };
             self.add(Finding::new("images", Verdict::Unknown, topic, found));
         } else if is_well {
-            let found = format!("they show something, and something new, {of}");
+            let found = format!("images have content and change, {of}");
             self.add(Finding::new("images", Verdict::Pass, topic, found));
         }
     }
@@ -192,7 +196,10 @@ mod tests {
         let good = of_pixels(|n| n * 7);
         assert!(good.starts_with("PASS"), "{good}");
         let frozen = found(|n, time| grey(n.min(30), time, |n| n * 7), |n| 50 * n);
-        assert!(frozen.contains("FAIL: 1 times the same image"), "{frozen}");
+        assert!(
+            frozen.contains("FAIL: 1 stretches of the same image"),
+            "{frozen}"
+        );
         let capped = of_pixels(|n| n * 7 % 3);
         assert!(capped.contains("WARN: 80 of them are black"), "{capped}");
         let white = of_pixels(|n| 255 - i64::from(n % 7 == 0));

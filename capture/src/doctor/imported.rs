@@ -21,9 +21,9 @@ impl Findings {
     pub(super) fn imported(&mut self, import: &BTreeMap<String, String>) {
         let said = |name: &str| import.get(name).map_or("?", String::as_str);
         let clock = match said("clock") {
-            "utc" => "its clock tells the time of day, how well is not known",
+            "utc" => "its clock shows the time of day, with unknown accuracy",
             _ => {
-                "its clock counts from a zero of its own: it cannot be compared with other recordings"
+                "its clock starts at an arbitrary zero and cannot be compared with other recordings"
             }
         };
         let found = format!(
@@ -33,11 +33,11 @@ impl Findings {
         );
         let finding = Finding::new("import", Verdict::Unknown, "clock", found);
         self.add(
-            finding.remedy("align it with another recording of the same walk by `lsfb align`"),
+            finding.remedy("align it with another recording of the same walk with `lsfb align`"),
         );
         let count = |name: &str| said(name).parse::<u64>().ok();
         let Some(unreadable) = count("unreadable") else {
-            let found = "the import does not say what it could not read";
+            let found = "the import does not say what could not be read";
             return self.add(Finding::new("losses", Verdict::Warn, "losses", found));
         };
         let mut found = match unreadable {
@@ -45,7 +45,7 @@ impl Findings {
             lost => format!("{lost} of {} records could not be read", said("records")),
         };
         for (name, what) in [
-            ("repeated", "were there twice"),
+            ("repeated", "were duplicates"),
             ("reordered", "were out of order"),
         ] {
             if let Some(number) = count(name).filter(|n| *n > 0) {

@@ -29,7 +29,8 @@ const TURNING_RAD_S: f64 = 0.1;
 /// … but for this share of them, which a driver may have sent twice; from the other on the IMU measures at less than half of the rate it claims.
 const REPEATED: [f64; 2] = [0.05, 0.5];
 /// What to do where arrivals go back.
-pub(super) const SET_BEFORE: &str = "set this machine's clock, by chrony or NTP, before recording";
+pub(super) const SET_BEFORE: &str =
+    "synchronise this machine's clock with chrony or NTP before recording";
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// What an IMU measured.
@@ -96,10 +97,10 @@ impl Measured {
         let [some, most] = REPEATED;
         if self.turning >= LEAST_SAMPLES && share > some {
             let found = format!(
-                "{:.0} % of the samples in turns have the reading of its {sensor} before once more: it measures more rarely than it sends",
+                "{:.0} % of the samples during rotation repeat the previous reading of the {sensor}, which measures more slowly than it sends",
                 100.0 * share
             );
-            let remedy = "have each reading written once, with its own stamp";
+            let remedy = "write each reading once, with its own stamp";
             let verdict = match share > most {
                 true => Verdict::Fail,
                 false => Verdict::Warn,
@@ -110,41 +111,41 @@ impl Measured {
     }
 
     fn failures(&self) -> Vec<(String, &'static str)> {
-        const FORMAT: &str = "look at the program that wrote them";
+        const FORMAT: &str = "check the program that wrote them";
         let mut problems = Vec::new();
         if self.unreadable > 0 {
             let found = format!("{} samples cannot be read", self.unreadable);
             problems.push((found, FORMAT));
         }
         if self.not_finite > 0 {
-            let found = format!("{} samples hold what is no number", self.not_finite);
+            let found = format!(
+                "{} samples have values that are not numbers",
+                self.not_finite
+            );
             problems.push((found, FORMAT));
         }
         if let Some(found) = self.stamps.problem() {
-            problems.push((
-                format!("stamps {found}"),
-                "see when and by how much with `lsfb clock`",
-            ));
+            problems.push((format!("stamps {found}"), "run `lsfb clock` for details"));
         }
         if self.samples < LEAST_SAMPLES {
             return problems;
         }
         let stretches = self.repeats.stale().stretches();
         if stretches > 0 {
-            let found = format!("{stretches} times the same sample for more than a second");
+            let found = format!("{stretches} stretches of the same sample for more than a second");
             problems.push((found, "restart it"));
         }
         let force_m_s2 = median(self.forces_m_s2.clone()).unwrap_or_default();
         let [least, most] = FORCES.map(|share| share * GRAVITY_M_S2);
         if !(least..=most).contains(&force_m_s2) {
             let found = format!(
-                "forces of {force_m_s2:.2} m/s² in the middle, and whatever is carried feels gravity's {GRAVITY_M_S2:.2}"
+                "median specific force is {force_m_s2:.2} m/s², but a carried device measures gravity's {GRAVITY_M_S2:.2}"
             );
             let remedy = match FORCES {
                 [least, most] if (least..=most).contains(&force_m_s2) => {
-                    "they are in g: forces are in m/s²"
+                    "it is in units of g: convert to m/s²"
                 }
-                _ => "check its accelerometer, its unit, and that gravity was not taken off",
+                _ => "check the accelerometer, its unit, and that gravity was not subtracted",
             };
             problems.push((found, remedy));
         }
@@ -154,9 +155,9 @@ impl Measured {
         });
         if let Some((rate_rad_s, time)) = too_fast {
             let found = format!(
-                "turns of {rate_rad_s:.1} rad/s and more {time} of the time, which nobody does"
+                "angular rates above {rate_rad_s:.1} rad/s {time} of the time are implausible for a person"
             );
-            problems.push((found, "are they in degrees? Rates are in rad/s"));
+            problems.push((found, "are they in degrees per second? The unit is rad/s"));
         }
         let sensors = [("gyroscope", TURNS_RAD_S), ("accelerometer", FORCES_M_S2)];
         let widths = self
@@ -172,18 +173,18 @@ impl Measured {
                 let other = sensors[1 - n].0;
                 let [x, y, z] = ranges.map(|[value, _]| value);
                 let found = format!(
-                    "its {sensor} says ({x}, {y}, {z}) all along while its {other} feels motion: it is dead"
+                    "the {sensor} reads ({x}, {y}, {z}) throughout while the {other} senses motion: it is dead"
                 );
-                problems.push((found, "repair or exchange it, or switch that sensor on"));
+                problems.push((found, "repair or replace it, or enable that sensor"));
                 continue;
             }
             let dead = widths[n].iter().position(|width| *width == 0.0);
             if let Some(axis) = dead.filter(|_| moving(n) == 2) {
                 let (name, value) = (AXES[axis], ranges[axis][0]);
                 let found = format!(
-                    "{name} of its {sensor} stands at {value} while the others change: it is dead"
+                    "{name} of the {sensor} is stuck at {value} while the other axes change: it is dead"
                 );
-                problems.push((found, "repair or exchange it"));
+                problems.push((found, "repair or replace it"));
             }
         }
         problems
@@ -223,7 +224,7 @@ impl Findings {
 
     fn measured(&mut self, topic: &str, measured: &Measured) {
         let looked_at = measured.samples + measured.unreadable + measured.not_finite;
-        let of = format!("in {looked_at} samples that were looked at");
+        let of = format!("in {looked_at} samples checked");
         if let Some(back) = measured.arrivals.back() {
             let found = format!("arrivals {back}: the host's clock was set, {of}");
             let finding = Finding::new("inertial", Verdict::Warn, topic, found);
@@ -236,12 +237,12 @@ impl Findings {
             self.add(Finding::new("inertial", verdict, topic, found).remedy(remedy));
         }
         if measured.samples < LEAST_SAMPLES {
-            let found = format!("whether they can be true cannot be said {of}: too few");
+            let found = format!("too few samples to check their plausibility, {of}");
             self.add(Finding::new("inertial", Verdict::Unknown, topic, found));
         } else if is_well {
             let force_m_s2 = median(measured.forces_m_s2.clone()).unwrap_or_default();
             let found = format!(
-                "forces of {force_m_s2:.2} m/s² in the middle, as of something that is carried, {of}"
+                "median specific force {force_m_s2:.2} m/s², plausible for a carried device, {of}"
             );
             self.add(
                 Finding::new("inertial", Verdict::Pass, topic, found).value(force_m_s2, "m/s²"),
@@ -309,12 +310,15 @@ mod tests {
             "{good:?}"
         );
         fails(|_| [[0.0; 3]; 2], "the same sample");
-        fails(|_| [[0.0; 3]; 2], "forces of 0.00 m/s²");
+        fails(|_| [[0.0; 3]; 2], "specific force is 0.00 m/s²");
         let scaled = |n, rate: f64, force: f64| {
             let [rates, forces] = walk(n);
             [rates.map(|v| v * rate), forces.map(|v| v * force)]
         };
-        fails(|n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2), "they are in g");
+        fails(
+            |n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2),
+            "it is in units of g",
+        );
         fails(|n| scaled(n, 57.3, 1.0), "in degrees");
         // Most of the time it stood on a table.
         fails(
@@ -327,38 +331,38 @@ mod tests {
                 let [rates, [x, y, z]] = walk(n);
                 [rates, [x, y, z - 9.81]]
             },
-            "gravity was not taken off",
+            "gravity was not subtracted",
         );
         fails(
             |n| {
                 let [[x, y, _], forces] = walk(n);
                 [[x, y, 0.25], forces]
             },
-            "z of its gyroscope stands at 0.25",
+            "z of the gyroscope is stuck at 0.25",
         );
         fails(
             |n| {
                 let [rates, [x, _, z]] = walk(n);
                 [rates, [x, f64::NAN, z]]
             },
-            "no number",
+            "not numbers",
         );
         fails(
             |n| [[0.0; 3], walk(n)[1]],
-            "its gyroscope says (0, 0, 0) all along",
+            "the gyroscope reads (0, 0, 0) throughout",
         );
         fails(
             |n| [walk(n)[0], [0.0, 0.0, 9.81]],
-            "its accelerometer says (0, 0, 9.81) all along",
+            "the accelerometer reads (0, 0, 9.81) throughout",
         );
-        fails(|n| walk(n / 10 * 10), "90 % of the samples in turns");
+        fails(|n| walk(n / 10 * 10), "90 % of the samples during rotation");
         fails(
             |n| [walk(n / 10 * 10)[0], walk(n)[1]],
-            "reading of its gyroscope before once more",
+            "repeat the previous reading of the gyroscope",
         );
         fails(
             |n| [walk(n)[0], walk(n / 10 * 10)[1]],
-            "reading of its accelerometer before once more",
+            "repeat the previous reading of the accelerometer",
         );
         // One of ten was written twice.
         let twice = found(|n| walk(n - i64::from(n % 10 == 0)));

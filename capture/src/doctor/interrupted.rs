@@ -34,13 +34,13 @@ pub(super) fn finding(recording: &Recording) -> Finding {
         })
         .collect();
     let mut what =
-        "the recorder's report is not here: it was interrupted, or went on in another part; by its health messages ".to_owned();
+        "the recorder's report is missing: it was interrupted, or continued in another part; according to its health messages ".to_owned();
     let counted = by_device.iter().filter(|(_, count)| **count > 0.0);
     let counted: Vec<String> = counted
         .map(|(device, count)| format!("{device}: {count}"))
         .collect();
     what += &match counted.is_empty() {
-        true => "it had lost no packet until then".to_owned(),
+        true => "no packet was lost until then".to_owned(),
         false => format!(
             "{lost} packets were unreadable, missing or dropped until then ({})",
             counted.join(", ")
@@ -52,7 +52,7 @@ pub(super) fn finding(recording: &Recording) -> Finding {
             .take(MOST_TOLD)
             .map(String::as_str)
             .collect();
-        what += &format!(", and it warned of: {}", told.join("; "));
+        what += &format!(", with warnings: {}", told.join("; "));
     }
     let limit = Limit::AtMost(0.0);
     let verdict = Verdict::Fail.unless(limit.holds(lost)).max(Verdict::Warn);

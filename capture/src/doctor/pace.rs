@@ -17,13 +17,12 @@ impl Findings {
             );
             let finding =
                 Finding::new("pace", Verdict::Fail, "pace", found).value(pace.factor(), "");
-            let remedy =
-                "look at the program that wrote them; see when and by how much with `lsfb clock`";
+            let remedy = "check the program that wrote them; run `lsfb clock` for details";
             return self.add(finding.remedy(remedy));
         }
         if let Some(pace) = unreal_pace(streams) {
             let found = format!(
-                "not recorded in real time, {:.1} s of stamps arrived within {:.1} s: a replay or a simulation, whose rates and silences are judged by the devices' stamps",
+                "not recorded in real time ({:.1} s of stamps arrived within {:.1} s): a replay or a simulation; rates and gaps are judged by the devices' stamps",
                 pace.stamped_secs, pace.arrived_secs
             );
             let finding = Finding::new("pace", Verdict::Pass, "pace", found);
@@ -39,12 +38,12 @@ impl Findings {
                 continue;
             };
             let found = format!(
-                "its stamps advance by {factor:.1} s for each second in which they arrive, those of other sensors do not: its clock was set"
+                "its stamps advance by {factor:.1} s per second of arrivals, unlike those of other sensors: its clock was set"
             );
             let finding = Finding::new("pace", Verdict::Warn, stream.topic, found)
                 .value(factor, "")
                 .limit(Limit::AtMost(FASTEST));
-            self.add(finding.remedy("see when and by how much with `lsfb clock`"));
+            self.add(finding.remedy("run `lsfb clock` for details"));
         }
     }
 }

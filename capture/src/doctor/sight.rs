@@ -74,20 +74,21 @@ impl Findings {
     fn seen(&mut self, name: &str, seen: &LidarCounts) {
         let LidarCounts { sight, scans, .. } = seen;
         let subject = format!("device {name}");
-        let of = format!("in {scans} scans that were looked at");
+        let of = format!("in {scans} scans checked");
         if let Some(back) = seen.arrivals.back() {
             let found = format!(
-                "arrivals of its packets {back}: the host's clock was set, or captures were joined that do not follow each other"
+                "arrivals of its packets {back}: the host's clock was set, or captures that do not follow each other were joined"
             );
             let finding = Finding::new("arrivals", Verdict::Warn, &*subject, found);
             self.add(finding.remedy("record again, or cut the capture where it goes back"));
         }
         if *scans > 0 && seen.returns == 0 {
-            let found = format!("not a single return {of}");
+            let found = format!("no returns {of}");
             let finding = Finding::new("lasers", Verdict::Fail, &*subject, found);
-            return self.add(
-                finding.remedy("take the cap off its window; if that does not help, it is broken"),
-            );
+            return self
+                .add(finding.remedy(
+                    "remove the cap from its window; if that does not help, it is broken",
+                ));
         }
         self.add(match (sight.worst(), sight.seeing()) {
             (Some(silent), _) => {
@@ -98,35 +99,31 @@ impl Findings {
                 let found = format!("{}, {of}", silent.words());
                 Finding::new("lasers", verdict, &*subject, found)
                     .value(silent.rings.len() as f64, "lasers")
-                    .remedy("clean its window; if that does not help, it is broken")
+                    .remedy("clean the window; otherwise the sensor is broken")
             }
             (None, Some((seeing, all))) => {
                 let found = format!(
-                    "{seeing} of {all} lasers see something, and none is silent between others, {of}"
+                    "{seeing} of {all} lasers have returns, and none is dead between working ones, {of}"
                 );
                 Finding::new("lasers", Verdict::Pass, &*subject, found)
             }
             (None, None) => {
                 let found = format!(
-                    "whether all lasers see something cannot be said: too little came back {of}, or nobody told the lasers apart"
+                    "cannot check all lasers: too few returns {of}, or the data does not identify the lasers"
                 );
                 Finding::new("lasers", Verdict::Unknown, &*subject, found)
-                    .remedy("record some seconds where something is near all around")
+                    .remedy("record a few seconds with objects nearby all around")
             }
         });
         if let Some(blocked) = sight.ever_blocked() {
             let finding = Finding::new("sector", Verdict::Warn, &*subject, blocked.words());
-            self.add(
-                finding.remedy(
-                    "free its view, or set its field of view so that it does not fire there",
-                ),
-            );
+            self.add(finding.remedy("clear its view, or restrict its field of view"));
         } else if !sight.is_turn_judged() {
             let found = format!(
-                "whether a part of its turn is covered cannot be said: too few shots {of}, or its packets are not there"
+                "cannot check whether part of its turn is covered: too few shots {of}, or its packets were not recorded"
             );
             let finding = Finding::new("sector", Verdict::Unknown, &*subject, found);
-            self.add(finding.remedy("record some seconds, with its packets"));
+            self.add(finding.remedy("record a few seconds, including its packets"));
         }
     }
 }
@@ -225,7 +222,7 @@ mod tests {
         assert!(said.starts_with("31 of its 32 lasers"), "{said}");
         assert_eq!(verdict(2, 1.0, |ring| ring != 7).0, Verdict::Warn);
         let (none, said) = verdict(2, 1.0, |_| false);
-        assert!(none == Verdict::Fail && said.contains("not a single return"));
+        assert!(none == Verdict::Fail && said.contains("no returns"));
         assert_eq!(verdict(2, 1.0, |_| true).0, Verdict::Pass);
         let (part, said) = verdict(2, 0.3, |ring| ring == 7);
         assert!(part == Verdict::Unknown && said.contains("in 2 scans"));

@@ -29,7 +29,7 @@ impl Findings {
             }
             all_agree = false;
             let found = format!(
-                "its stamps lie {apart_secs:.1} s from those of the other sensors that arrived with them"
+                "its stamps differ by {apart_secs:.1} s from those of the other sensors that arrived with them"
             );
             let verdict = match stream.is_of_a_sidecar() {
                 true => Verdict::Warn,
@@ -38,20 +38,21 @@ impl Findings {
             let finding = Finding::new("stamps", verdict, stream.topic, found)
                 .value(apart_secs.abs(), "s")
                 .limit(Limit::AtMost(limit_secs));
-            self.add(finding.remedy("check what sets its clock: the receiver behind its pulse, its NMEA sentence, its host"));
+            self.add(finding.remedy("check what sets its clock: the receiver that sends its PPS, its NMEA sentence, its host"));
         }
         if usual_secs.abs() > limit_secs {
             let found = format!(
-                "the sensors' stamps lie {usual_secs:.1} s from their arrivals: this machine's clock or that of the sensors was wrong"
+                "the sensors' stamps differ by {usual_secs:.1} s from their arrivals: this machine's clock or that of the sensors was wrong"
             );
             let finding = Finding::new("stamps", Verdict::Warn, "stamps", found)
                 .value(usual_secs.abs(), "s")
                 .limit(Limit::AtMost(limit_secs));
             self.add(
-                finding.remedy("set this machine's clock, by chrony or NTP, before recording"),
+                finding
+                    .remedy("synchronise this machine's clock with chrony or NTP before recording"),
             );
         } else if all_agree {
-            let found = "the sensors' stamps and this machine's clock tell the same time";
+            let found = "the sensors' stamps agree with this machine's clock";
             let finding =
                 Finding::new("stamps", Verdict::Pass, "stamps", found).value(usual_secs.abs(), "s");
             self.add(finding.limit(Limit::AtMost(limit_secs)));

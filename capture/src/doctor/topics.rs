@@ -22,7 +22,7 @@ impl Findings {
         config: &DoctorConfig,
     ) {
         if streams.is_empty() {
-            let found = "no camera, LiDAR or IMU in it";
+            let found = "it has no camera, LiDAR or IMU";
             let finding = Finding::new("sensors", Verdict::Fail, "sensors", found);
             self.add(finding.value(0.0, "").limit(Limit::AtLeast(1.0)));
         }
@@ -83,7 +83,7 @@ impl Findings {
         let silent: BTreeSet<String> = declared.chain(asked).collect();
         for topic in silent.iter().filter(|t| !is_filled(t) && !is_heard(t)) {
             let [least, _] = possible_hz(topic).unwrap_or_default();
-            let finding = Finding::new("rate", Verdict::Fail, topic, "no message on it");
+            let finding = Finding::new("rate", Verdict::Fail, topic, "no messages");
             self.add(
                 finding
                     .value(0.0, "Hz")
@@ -108,7 +108,7 @@ impl Findings {
                 continue;
             }
             self.rate(stream, stream.rate_by_stamps_hz(), None, config);
-            let found = "silences not looked for: arrivals say nothing, and stamps were not read";
+            let found = "gaps not checked: arrivals say nothing, and stamps were not read";
             let finding = Finding::new("silence", Verdict::Unknown, stream.topic, found);
             self.add(finding.remedy("read the stamps with `--full`"));
         }
@@ -140,10 +140,9 @@ impl Findings {
         let own_least = own_hz.map(|hz| config.warn_rate_share * hz);
         let said = format!("{count} messages, {rate_hz:.1} Hz");
         self.add(if !(rate_hz <= most) {
-            let found = format!("{said}: no such sensor is that fast; several may share the topic");
-            finding(Verdict::Fail, Limit::AtMost(most), found).remedy(
-                "look who sends on its port: each device needs a port, or an address, of its own",
-            )
+            let found = format!("{said}: too fast for such a sensor; several may share the topic");
+            finding(Verdict::Fail, Limit::AtMost(most), found)
+                .remedy("check who sends to its port: each device needs its own port or address")
         } else if let Some(nominal_hz) = stream.nominal_hz
             && rate_hz < config.warn_rate_share * nominal_hz
         {
@@ -155,13 +154,13 @@ impl Findings {
             finding(verdict, Limit::AtLeast(share * nominal_hz), found)
                 .remedy("check its cable, its settings and the load of the machine")
         } else if !(rate_hz >= least) {
-            let found = format!("{said}: no such sensor is that slow");
+            let found = format!("{said}: too slow for such a sensor");
             finding(Verdict::Fail, Limit::AtLeast(least), found)
                 .remedy("check its cable, its settings and the load of the machine")
         } else if let Some((own_hz, own_least)) = own_hz.zip(own_least)
             && rate_hz < own_least
         {
-            let found = format!("{said}, where its own period makes {own_hz:.1} Hz");
+            let found = format!("{said}, but its period gives {own_hz:.1} Hz");
             finding(Verdict::Warn, Limit::AtLeast(own_least), found)
                 .remedy("check its cable and the load of the machine: messages are missing")
         } else {

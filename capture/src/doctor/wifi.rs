@@ -38,6 +38,6 @@ fn judged(topic: &str, scans: &WifiScans) -> Finding {
         .limit(Limit::AtMost(0.0));
     match verdict {
         Verdict::Pass => finding,
-        _ => finding.remedy("switch off \"Wi-Fi scan throttling\" in the phone's developer options (Android 10 and later)"),
+        _ => finding.remedy("turn off \"Wi-Fi scan throttling\" in the phone's developer options (Android 10 and later)"),
     }
 }

@@ -155,14 +155,15 @@ impl Meter {
             let (silences, slowdowns) = (part.silences(), part.slowdowns());
             if silences > 0 {
                 report.notes.push(format!(
-                    "{silences} times no {} for more than a second",
+                    "{silences} gaps of more than a second without {}",
                     part.name()
                 ));
             }
             if slowdowns > 0 {
-                report
-                    .notes
-                    .push(format!("{slowdowns} times far too few {}", part.name()));
+                report.notes.push(format!(
+                    "{slowdowns} stretches with far too few {}",
+                    part.name()
+                ));
             }
         }
         state.take_counts(report);
@@ -309,7 +310,10 @@ impl MeterState {
     /// The worst that can be said.
     fn judge(&self, silence: Duration, lost: u64, now: Instant) -> (Level, String) {
         if !self.connected {
-            return (Level::Error, "gone: check its cable and power".to_owned());
+            return (
+                Level::Error,
+                "disconnected: check its cable and power".to_owned(),
+            );
         }
         if let Some(gone) = &self.gone {
             return (Level::Error, gone.clone());
@@ -323,7 +327,7 @@ impl MeterState {
             return (Level::Error, stale.clone().into_owned());
         }
         if self.last_heard.is_none() {
-            return (Level::Warn, "has sent nothing yet".to_owned());
+            return (Level::Warn, "no data yet".to_owned());
         }
         if self.parts.is_empty() && silence > SILENT && !self.ended && !self.left {
             let secs = silence.as_secs_f64();
@@ -331,7 +335,7 @@ impl MeterState {
         }
         if lost > self.last_reading.lost {
             let now = lost - self.last_reading.lost;
-            return (Level::Error, format!("{now} lost just now, {lost} in all"));
+            return (Level::Error, format!("{now} just lost, {lost} in total"));
         }
         if let Some(partial) = self.partial.as_ref().filter(|_| !self.ended) {
             return (Level::Warn, partial.clone());
@@ -340,13 +344,13 @@ impl MeterState {
             let percent = 100.0 * share;
             return (
                 Level::Warn,
-                format!("{percent:.0} % of the image is white: lower the exposure"),
+                format!("{percent:.0} % of the image is overexposed: reduce the exposure"),
             );
         }
         if let SyncState::Holdover { secs } = self.sync {
             return (
                 Level::Warn,
-                format!("without pulse for {secs:.0} s: check the PPS and NMEA cable"),
+                format!("no PPS for {secs:.0} s: check the PPS and NMEA cable"),
             );
         }
         if let SyncState::Fitted { sigma_us, .. } = self.sync
@@ -372,7 +376,7 @@ impl MeterState {
         }
         match lost {
             0 => (Level::Ok, String::new()),
-            _ => (Level::Warn, format!("{lost} lost in all")),
+            _ => (Level::Warn, format!("{lost} lost in total")),
         }
     }
 }

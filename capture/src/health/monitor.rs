@@ -162,15 +162,10 @@ impl Monitor {
         let secs_to_full = (rate > 1.0).then(|| free as f64 / rate);
         let (level, problem) = match secs_to_full {
             _ if !progress.displaced.is_empty() => (Level::Error, progress.displaced.join("; ")),
-            Some(secs) if secs < ERROR_SECS => {
-                (Level::Error, format!("the disk is full in {secs:.0} s"))
-            }
+            Some(secs) if secs < ERROR_SECS => (Level::Error, format!("disk full in {secs:.0} s")),
             Some(secs) if secs < WARN_SECS => {
                 let minutes = secs / 60.0;
-                (
-                    Level::Warn,
-                    format!("the disk is full in {minutes:.0} minutes"),
-                )
+                (Level::Warn, format!("disk full in {minutes:.0} minutes"))
             }
             _ if progress.write_p99_ms > WARN_WRITE_MS => {
                 let ms = progress.write_p99_ms;

@@ -25,7 +25,7 @@ const SILENT: Duration = Duration::from_millis(500);
 /// What it sends all the time.
 const SAMPLES: &str = "samples";
 /// Problem of a unit that sends nothing new.
-const SAME_SAMPLE: &str = "it measures the same again and again: restart it";
+const SAME_SAMPLE: &str = "it keeps sending the same sample: restart it";
 
 /// What a unit sends all the time; only some are told how often.
 pub(crate) fn expected(line: &ImuLineConfig) -> Vec<Expected> {
@@ -267,15 +267,15 @@ impl ImuStream {
         self.take_counters(kernel_drops);
         let without_utc = (
             self.clock.without_utc,
-            "samples without UTC: their time is fitted to arrival",
+            "samples without UTC: their time is estimated from arrivals",
         );
         let drops = (
             kernel_drops,
-            "frames dropped by the kernel because nobody took them in time",
+            "frames dropped by the kernel because they were not read in time",
         );
         let stale = (
             self.report.stale,
-            "times the same sample for more than a second",
+            "stretches of the same sample for more than a second",
         );
         let remarks = self.decoder.tally().remarks;
         for (count, what) in remarks.into_iter().chain([without_utc, drops, stale]) {

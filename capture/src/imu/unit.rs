@@ -178,7 +178,7 @@ impl ImuDecoder {
     }
 
     pub(super) fn tally(&self) -> Tally {
-        const STRAY_BYTES: &str = "bytes belong to no message";
+        const STRAY_BYTES: &str = "bytes outside of any message";
         match self {
             Self::Xsens(decoder) => {
                 let counters = decoder.counters();
@@ -209,7 +209,7 @@ impl ImuDecoder {
                     duplicated: 0,
                     remarks: vec![
                         (counters.bus_errors, "errors of the bus"),
-                        (counters.foreign, "frames of others on the bus"),
+                        (counters.foreign, "frames of other devices on the bus"),
                     ],
                 }
             }
@@ -219,7 +219,10 @@ impl ImuDecoder {
                     bad: counters.bad_reports,
                     missing: counters.missing,
                     duplicated: counters.duplicated,
-                    remarks: vec![(counters.unpaired, "gyroscope readings without partner")],
+                    remarks: vec![(
+                        counters.unpaired,
+                        "gyroscope readings without an accelerometer reading",
+                    )],
                 }
             }
         }

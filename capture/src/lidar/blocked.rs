@@ -66,7 +66,7 @@ impl Blocked {
     pub(crate) fn words(self) -> String {
         let Self { from_deg, to_deg } = self;
         format!(
-            "nothing comes back from {from_deg}° to {to_deg}° of its turn: is its window covered there?"
+            "no returns between {from_deg}° and {to_deg}° of its turn: is its window covered there?"
         )
     }
 }

@@ -67,11 +67,11 @@ impl Silent {
         let count = rings.len();
         match count {
             1 => format!(
-                "laser {} of {of}, counted from below, sees nothing where its neighbours do",
+                "laser {} of {of}, counted from below, has no returns where its neighbours do",
                 rings[0] + 1
             ),
             _ => format!(
-                "{count} of its {of} lasers see nothing (counted from below: {})",
+                "{count} of its {of} lasers have no returns (counted from below: {})",
                 ranges(rings)
             ),
         }
@@ -204,7 +204,7 @@ mod tests {
         assert!(found.are_many());
         assert_eq!(
             found.words(),
-            "15 of its 16 lasers see nothing (counted from below: 1–4, 6–16)"
+            "15 of its 16 lasers have no returns (counted from below: 1–4, 6–16)"
         );
         let mut one_dead = all;
         one_dead[7] = 3;
@@ -212,7 +212,7 @@ mod tests {
         assert!(!found.are_many());
         assert_eq!(
             found.words(),
-            "laser 8 of 16, counted from below, sees nothing where its neighbours do"
+            "laser 8 of 16, counted from below, has no returns where its neighbours do"
         );
         // A field under the sky: what looks above the horizon sees nothing, what grazes the ground hardly anything.
         let mut field = [1800; 16];

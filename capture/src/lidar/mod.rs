@@ -50,13 +50,13 @@ const PACKETS_OF_NO_SCAN: u64 = 750;
 /// Copies of each packet that a network may make: switches and captures on several interfaces make one or two.
 const MOST_COPIES: u64 = 9;
 /// Problems of a sensor that sends, and nothing to see.
-const NO_SCAN: &str = "its data make no scan of a full turn: is its rotor turning?";
-const NO_RETURN: &str = "not a single return: is its window covered?";
-const ANOTHER_SPEED: &str =
-    "it turns at another speed than it was set to: look at its own web page";
-const POOR_SIGHT: &str = "most of its lasers see nothing: are they dead, or is its window covered?";
+const NO_SCAN: &str = "no complete scan: is its rotor turning?";
+const NO_RETURN: &str = "no returns: is its window covered?";
+const ANOTHER_SPEED: &str = "it rotates at another speed than configured: check its web page";
+const POOR_SIGHT: &str =
+    "most of its lasers have no returns: are they dead, or is its window covered?";
 const TWO_SENSORS: &str =
-    "two sensors send from one address, and make one cloud: give each its own address";
+    "two sensors send from one address and are mixed into one cloud: give each its own address";
 
 /// What a LiDAR sends all the time; how often depends on its model, its returns and its sector, and is learned.
 pub(crate) fn expected() -> Vec<Expected> {
@@ -471,24 +471,24 @@ impl LidarStream {
         for (count, what) in [
             (
                 counters.reordered,
-                "packets came too late to be put back in order: they are recorded, but in no scan",
+                "packets came too late to be reordered: they are recorded, but are in no scan",
             ),
             (
                 self.reorder.moved(),
-                "packets overtook others on the network and were put back in order",
+                "packets arrived out of order and were reordered",
             ),
-            (self.clock.lock_losses(), "times the PPS lock was lost"),
+            (self.clock.lock_losses(), "losses of the PPS lock"),
             (
                 self.utc.stretches(),
-                "times UTC was not held by GNSS for more than three seconds: its receiver had no fix",
+                "times UTC was not backed by GNSS for more than three seconds: its receiver had no fix",
             ),
             (
                 self.without_scan.stretches(),
-                "times its data made no scan of a full turn for more than a second",
+                "stretches without a complete scan for more than a second",
             ),
             (
                 self.without_return.stretches(),
-                "times its scans had not a single return for more than a second",
+                "stretches of scans without returns for more than a second",
             ),
             (
                 if self.was_blind() {
@@ -496,7 +496,7 @@ impl LidarStream {
                 } else {
                     0
                 },
-                "scans, and not a single return in any of them",
+                "scans, none with any returns",
             ),
             (
                 if self.was_stuck() {
@@ -504,11 +504,11 @@ impl LidarStream {
                 } else {
                     0
                 },
-                "packets have the time of the one before, and were left out: the sensor's clock stands",
+                "packets repeat the previous time and were left out: the sensor's clock is stuck",
             ),
             (counters.clock_jumps, "jumps of the sensor's clock"),
             (counters.mode_changes, "changes of model or return mode"),
-            (counters.overlong, "scans without a full turn of the rotor"),
+            (counters.overlong, "scans longer than a turn of the rotor"),
         ] {
             if count > 0 {
                 self.report.notes.push(format!("{count} {what}"));
@@ -516,7 +516,7 @@ impl LidarStream {
         }
         if let Some(problem) = self.arrivals.problem() {
             self.report.notes.push(format!(
-                "arrivals of its packets {problem}: the host's clock was set, captures were joined that do not follow each other, or their stamps were taken away"
+                "arrivals of its packets {problem}: the host's clock was set, captures that do not follow each other were joined, or their stamps were removed"
             ));
         }
         let silent = self.sight.worst().map(lasers::Silent::words);
@@ -527,7 +527,8 @@ impl LidarStream {
         }
         if self.report.decoded > 0 && !self.clock.is_locked() {
             self.report.notes.push(
-                "the sensor's clock is not locked to PPS: its time is fitted to arrival".to_owned(),
+                "the sensor's clock is not locked to PPS: its time is estimated from arrivals"
+                    .to_owned(),
             );
         }
         self.report
@@ -548,7 +549,7 @@ impl LidarStream {
             && last > first
         {
             let scans = self.report.decoded.saturating_sub(1) as f64;
-            what += &format!(", {:.1} scans a second", scans / last.secs_since(first));
+            what += &format!(", {:.1} scans per second", scans / last.secs_since(first));
         }
         Some(what)
     }

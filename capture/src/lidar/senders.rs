@@ -43,16 +43,16 @@ impl Strangers {
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         for (sender, stranger) in &self.by_address {
-            let kept_out = format!("{} packets of {sender} were kept out", stranger.packets);
+            let kept_out = format!("{} packets of {sender} were rejected", stranger.packets);
             remarks.push(if stranger.of_a_lidar > 0 {
-                format!("{kept_out}: another LiDAR sends to the same port; name the address of each that counts (`sensor`)")
+                format!("{kept_out}: another LiDAR sends to the same port; configure the address of each LiDAR to record (`sensor`)")
             } else {
                 format!("{kept_out}: it is not the sensor")
             });
         }
         if self.more > 0 {
             remarks.push(format!(
-                "{} packets of more senders were kept out",
+                "{} packets of further senders were rejected",
                 self.more
             ));
         }

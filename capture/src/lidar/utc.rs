@@ -5,11 +5,10 @@ use lsfb_types::Timestamp;
 
 /// A sentence that is lost on the line, or damaged, is one second.
 const PATIENCE_NS: i64 = 3_000_000_000;
-const NO_FIX: &str = "UTC is not held by GNSS, its receiver has no fix: what the pulse is worth is the receiver's own clock";
-const NEVER_A_FIX: &str =
-    "UTC is not held by GNSS, its receiver has no fix: its time is fitted to arrival";
+const NO_FIX: &str = "UTC is not backed by GNSS because its receiver has no fix: PPS is only as good as the receiver's own clock";
+const NEVER_A_FIX: &str = "UTC is not backed by GNSS because its receiver has no fix: its time is estimated from arrivals";
 const NEVER_A_PULSE: &str =
-    "UTC is not held by GNSS, no pulse and no fix: its time is fitted to arrival";
+    "UTC is not backed by GNSS (no PPS, no fix): its time is estimated from arrivals";
 
 /// Looks for a fix in position packets.
 #[derive(Clone, Copy, Debug, Default)]

@@ -71,24 +71,24 @@ impl Displacement {
         let path = self.path.display();
         let what = match (self.how, messages) {
             (How::Removed, Some(messages)) => {
-                format!("{path} was removed while it was written: its {messages} messages are lost")
+                format!("{path} was deleted during recording: its {messages} messages are lost")
             }
             (How::Removed, None) => {
-                format!("{path} was removed while it was written: its messages are lost")
+                format!("{path} was deleted during recording: its messages are lost")
             }
             (How::Emptied, messages) => format!(
-                "{path} was emptied by another program while it was written: of its {}messages only the last may be left (`lsfb recover`)",
+                "{path} was truncated by another program during recording: of its {}messages only the last may be left (`lsfb recover`)",
                 messages.map_or_else(String::new, |count| format!("{count} "))
             ),
             (How::Moved, Some(messages)) => format!(
-                "{path} was renamed, or its disk was unmounted, while it was written: its {messages} messages are in it wherever it is now"
+                "{path} was renamed, or its disk was unmounted, during recording: its {messages} messages are in it, wherever it is now"
             ),
             (How::Moved, None) => format!(
-                "{path} was renamed, or its disk was unmounted, while it was written, and could not be closed: what is left of it is wherever it is now (`lsfb recover`)"
+                "{path} was renamed, or its disk was unmounted, during recording, and could not be closed: the rest of it is wherever the file is now (`lsfb recover`)"
             ),
         };
         match next {
-            Some(next) => format!("{what}; the recording goes on in {}", next.display()),
+            Some(next) => format!("{what}; the recording continues in {}", next.display()),
             None => what,
         }
     }
@@ -114,7 +114,7 @@ mod tests {
         let emptied = found(&open).unwrap();
         assert_eq!((emptied.lost(Some(7)), emptied.lost(None)), (7, 1));
         let sentence = emptied.sentence(Some(7), None);
-        assert!(sentence.contains("emptied") && sentence.contains("its 7 messages"));
+        assert!(sentence.contains("truncated") && sentence.contains("its 7 messages"));
     }
 
     #[test]

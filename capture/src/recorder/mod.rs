@@ -132,7 +132,7 @@ impl Inlet {
         if let Some(time) = entry.give_up_impossible_time() {
             report.bad += 1;
             report.first_bad.get_or_insert_with(|| {
-                format!("it said {time} s, which no recording can hold: its time of arrival is written; check its clock")
+                format!("it sent the time {time} s, which a recording cannot hold: its arrival time is written instead; check its clock")
             });
         }
         if let Some(tap) = &self.tap {

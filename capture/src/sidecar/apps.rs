@@ -20,7 +20,8 @@ use crate::wifi_scans::WifiScans;
 /// Key of the rig's TOML in a channel's static metadata.
 const RIG_KEY: &str = "rig_toml";
 /// What to do where a phone's system holds Wi-Fi scans back.
-const HELD_BACK: &str = "its system holds Wi-Fi scans back: switch off \"Wi-Fi scan throttling\" in its developer options";
+const HELD_BACK: &str =
+    "its system throttles Wi-Fi scans: turn off \"Wi-Fi scan throttling\" in the developer options";
 /// Kinds of readings without a place that are counted apart.
 const MAX_LEFT_OUT: usize = 1_024;
 /// A channel whose stamps step back by more has a clock that began anew.
@@ -169,9 +170,9 @@ impl Apps {
             .collect();
         if !words.is_empty() {
             let words = words.join(", ");
-            self.report.notes.push(format!(
-                "readings that have no place in a recording: {words}"
-            ));
+            self.report
+                .notes
+                .push(format!("readings that a recording cannot hold: {words}"));
         }
         self.report
     }
@@ -242,7 +243,8 @@ impl Apps {
                     Err(why) => {
                         // It may hold an identifier, and is no better when it comes again.
                         let topic = &channel.advertised.topic;
-                        let why = format!("{topic}: {why}; left out, as identifiers are hashed");
+                        let why =
+                            format!("{topic}: {why}; left out because identifiers are hashed");
                         self.report.bad += 1;
                         self.report.first_bad.get_or_insert(why);
                         receipt.into_iter().for_each(Receipt::acknowledge);

@@ -95,7 +95,7 @@ pub(crate) fn record(
     report.ending = match recording.presence.lost() {
         Some(why) => Ending::Lost(why),
         None if report.received == 0 => Ending::Lost(
-            "sidecar: no phone sent anything; `lsfb sidecar pair` pairs one".to_owned(),
+            "sidecar: no phone sent data; pair one with `lsfb sidecar pair`".to_owned(),
         ),
         None => ending,
     };
@@ -167,9 +167,9 @@ impl Recording {
                 report.missing = (report.missing + missing).saturating_sub(missing_before);
                 report.bad += bad;
                 if bad > 0 {
-                    report.first_bad.get_or_insert_with(|| {
-                        format!("{device}: a reading without the values of its sensor")
-                    });
+                    report
+                        .first_bad
+                        .get_or_insert_with(|| format!("{device}: a reading without values"));
                 }
                 meter.count(report);
             }

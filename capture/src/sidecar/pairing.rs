@@ -129,7 +129,7 @@ impl PairingFolder {
         let path = self.pusher_path(name);
         if !is_name(name) || self.device(name).exists() {
             let why =
-                "not 1 to 64 letters, digits, '-' and '_', or the name of a phone that is paired";
+                "expected 1 to 64 letters, digits, '-' and '_', or the name of a paired phone";
             return Err(io_error(&path, io::Error::other(why)));
         }
         let key = PairingToken::random()?;
@@ -161,7 +161,7 @@ impl PairingFolder {
         if waiting >= MAX_INVITATIONS {
             return Err(io_error(
                 &folder,
-                io::Error::other(format!("{waiting} invitations wait already; remove them")),
+                io::Error::other(format!("{waiting} invitations are pending; remove some")),
             ));
         }
         let token = PairingToken::random()?;

@@ -21,7 +21,7 @@ impl Presence {
         match self.0.insert(device.to_owned(), there) {
             Some(DeviceState::Gone { since, why }) => {
                 let secs = since.elapsed().as_secs_f64();
-                Some(format!("{device}: gone for {secs:.1} s, and back ({why})"))
+                Some(format!("{device}: disconnected for {secs:.1} s ({why})"))
             }
             _ => None,
         }
@@ -61,14 +61,16 @@ impl Presence {
             .gone()
             .map(|(device, since, _)| format!("{device}, {} s ago", since.elapsed().as_secs()))
             .collect();
-        (!words.is_empty()).then(|| format!("PHONE GONE: {}", words.join("; ")))
+        (!words.is_empty()).then(|| format!("PHONE DISCONNECTED: {}", words.join("; ")))
     }
 
     /// Why the first of those who are gone is.
     pub(super) fn lost(&self) -> Option<String> {
         let (device, since, why) = self.gone().next()?;
         let secs = since.elapsed().as_secs();
-        Some(format!("{device} is gone since {secs} s: {why}"))
+        Some(format!(
+            "{device} has been disconnected for {secs} s: {why}"
+        ))
     }
 
     fn gone(&self) -> impl Iterator<Item = (&String, &Instant, &String)> {
@@ -99,11 +101,16 @@ mod tests {
         assert!(presence.is_all_gone());
         assert_eq!(
             presence.sentence().as_deref(),
-            Some("PHONE GONE: phone, 0 s ago")
+            Some("PHONE DISCONNECTED: phone, 0 s ago")
         );
         assert!(!presence.gave_up(Duration::from_secs(60)) && presence.gave_up(Duration::ZERO));
         assert!(presence.lost().unwrap().contains("phone"));
-        assert!(presence.come("phone", 4).unwrap().contains("and back"));
+        assert!(
+            presence
+                .come("phone", 4)
+                .unwrap()
+                .contains("disconnected for")
+        );
         assert!(presence.sentence().is_none() && presence.lost().is_none());
     }
 }

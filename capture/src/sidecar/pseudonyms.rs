@@ -59,8 +59,8 @@ impl Pseudonyms {
         match known.chain(replaced).any(|name| name == schema_name) {
             true => Ok(()),
             false => Err(format!(
-                "identifiers are hashed in this recording, and {schema_name} may hold some that the recorder does not know; \
-                 set hash_identifiers = false to record it"
+                "identifiers are hashed in this recording, and {schema_name} may contain some that \
+                 the recorder does not know; set hash_identifiers = false to record it"
             )),
         }
     }

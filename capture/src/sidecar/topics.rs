@@ -57,34 +57,32 @@ impl Topics {
         let below = topic.strip_prefix(&prefix_of(device));
         if below.is_none_or(str::is_empty) {
             return Err(format!(
-                "{topic} is not a topic of {device}: those begin with /sidecar/{device}/"
+                "{topic} is not a topic of {device}: they begin with /sidecar/{device}/"
             ));
         }
         if is_recorders_own(topic) {
-            return Err(format!(
-                "{topic}: topics of this end are the recorder's own"
-            ));
+            return Err(format!("{topic}: this topic is reserved for the recorder"));
         }
         if encoding != ENCODING {
             return Err(format!(
-                "{topic}: encoding {encoding:?}, a recording holds {ENCODING:?} only"
+                "{topic}: encoding {encoding:?} is not supported, only {ENCODING:?}"
             ));
         }
         if schema_name.len() > MAX_TOPIC_BYTES || schema.len() > MAX_SCHEMA_BYTES {
             return Err(format!(
-                "{topic}: a schema has at most {MAX_SCHEMA_BYTES} bytes, and its name {MAX_TOPIC_BYTES}"
+                "{topic}: a schema may have at most {MAX_SCHEMA_BYTES} bytes, and its name {MAX_TOPIC_BYTES}"
             ));
         }
         match self.schemas.get(topic) {
             Some((name, text)) if (name, text) == (schema_name, schema) => return Ok(()),
             Some((name, _)) => {
                 return Err(format!(
-                    "{topic}: the recording holds {name} there, which is not the {schema_name} that is advertised"
+                    "{topic}: the recording has {name} there, not the advertised {schema_name}"
                 ));
             }
             None if self.schemas.len() >= MAX_TOPICS => {
                 return Err(format!(
-                    "{topic}: there are {MAX_TOPICS} topics already, and no more are taken"
+                    "{topic}: there are {MAX_TOPICS} topics already, the maximum"
                 ));
             }
             None => {}

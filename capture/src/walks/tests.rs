@@ -213,7 +213,7 @@ fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
         .iter()
         .find(|f| f.subject == "clock pixel")
         .expect("its clock");
-    assert!(clock.what.contains("exchanges of times"), "{}", clock.what);
+    assert!(clock.what.contains("clock exchanges"), "{}", clock.what);
     // The other one has no exchanges: its stamps stay as they were.
     let path = walk_path(folder.path(), "watch");
     let walk = write_walk(&recording, "watch", None, &path, &no_progress).expect("a walk");

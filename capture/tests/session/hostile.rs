@@ -100,7 +100,7 @@ fn two_hundred_strangers_cost_nobody_anything() {
     let phones = stream(&report, "sidecar");
     assert_eq!(phones.decoded, u64::from(NOTES), "{phones:?}");
     let said = phones.notes.join("\n");
-    for reason in ["no TLS", "made room for others"] {
+    for reason in ["no TLS", "disconnected to make room for others"] {
         assert!(said.contains(reason), "{reason}: {said}");
     }
     assert!(said.contains("too many attempts"), "{said}");

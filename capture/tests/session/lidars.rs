@@ -59,7 +59,7 @@ fn lidars_and_imus_are_recorded_by_name_and_strangers_kept_out() {
         "{notes}"
     );
     assert!(
-        notes.contains("300 packets of 127.0.0.2 were kept out: another LiDAR"),
+        notes.contains("300 packets of 127.0.0.2 were rejected: another LiDAR"),
         "{notes}"
     );
     // Nobody chose which of the two counts.
@@ -67,7 +67,7 @@ fn lidars_and_imus_are_recorded_by_name_and_strangers_kept_out() {
     assert_eq!((lidar.kept_out, lidar.lost()), (300, 300), "{report:?}");
     let notes = stream(&report, "lidar_rear").notes.join("\n");
     assert!(
-        notes.contains("VLP-32C at 127.0.0.2") && !notes.contains("kept out"),
+        notes.contains("VLP-32C at 127.0.0.2") && !notes.contains("rejected"),
         "{notes}"
     );
     assert_eq!(stream(&report, "imu1").decoded, 300);
@@ -293,13 +293,16 @@ fn a_receiver_without_a_fix_is_said_on_the_screen_and_in_the_recording() {
         |lidar| lidar.problem.contains("GNSS"),
     );
     assert_eq!(said.level, Level::Warn, "{said:?}");
-    assert!(said.problem.contains("UTC is not held by GNSS"), "{said:?}");
+    assert!(
+        said.problem.contains("UTC is not backed by GNSS"),
+        "{said:?}"
+    );
     let is_recorded =
         |(level, text): &(u8, String)| *level == Level::Warn as u8 && text.contains("GNSS");
     assert!(recorded.iter().any(is_recorded), "{recorded:?}");
     let notes = stream(&report, "lidar").notes.join("\n");
     assert!(
-        notes.contains("1 times UTC was not held by GNSS"),
+        notes.contains("1 times UTC was not backed by GNSS"),
         "{notes}"
     );
 }

@@ -178,7 +178,7 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
     assert_eq!((camera.decoded, camera.missing), (60, 30), "{camera:?}");
     assert_eq!(camera.ending, Ending::EndOfStream);
     assert!(
-        camera.notes.iter().any(|n| n.contains("and back")),
+        camera.notes.iter().any(|n| n.contains("disconnected for")),
         "{camera:?}"
     );
     assert!(report.lost >= 31);
@@ -186,7 +186,7 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
         .join()
         .unwrap()
         .iter()
-        .any(|s| s.level == Level::Error && s.devices[0].problem.contains("gone"));
+        .any(|s| s.level == Level::Error && s.devices[0].problem.contains("disconnected"));
     assert!(gone, "the operator is told");
     let recording = Recording::open(&out).unwrap();
     assert_eq!(recording.images("cam1").unwrap().count(), 30);
@@ -311,7 +311,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
         .set_handling(SettingsHandling::Ignores);
     let error = refused(&other);
     assert!(
-        error.contains("was set to rpm=900 and reads rpm=1200"),
+        error.contains("was set to rpm=900 but reads rpm=1200"),
         "{error}"
     );
     let settings = other.lidars.first_mut().and_then(|l| l.settings.as_mut());

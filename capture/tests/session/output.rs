@@ -54,7 +54,7 @@ fn a_file_that_is_removed_while_it_is_written_is_told_and_followed_by_another() 
     assert!(after < Duration::from_millis(2_000), "{after:?}");
     assert!(report.lost > 50, "{report:?}");
     assert!(
-        report.warnings[0].contains("scan.mcap was removed"),
+        report.warnings[0].contains("scan.mcap was deleted"),
         "{report:?}"
     );
     let next = folder.path().join("walk/scan-0002.mcap");

@@ -324,7 +324,7 @@ fn wifi_scans_that_are_held_back_are_on_the_screen() {
     wait_until("the screen says it", || {
         let devices = snapshots.try_iter().flat_map(|snapshot| snapshot.devices);
         problem = devices.map(|d| d.problem).last().unwrap_or_default();
-        problem.contains("holds Wi-Fi scans back")
+        problem.contains("throttles Wi-Fi scans")
     });
     assert!(problem.starts_with("visor: "), "{problem}");
     phone.bye().unwrap();

@@ -72,7 +72,7 @@ fn two_lidars_on_one_port_are_told_apart_by_address() {
     // Whoever chose two of three has lost nothing by the third.
     let notes = stream(&report, "lidar").notes.join("\n");
     assert!(
-        notes.contains("300 packets of 127.0.0.3 were kept out"),
+        notes.contains("300 packets of 127.0.0.3 were rejected"),
         "{notes}"
     );
     let last = shown.last().expect("a snapshot");

@@ -112,7 +112,7 @@ fn a_lidar_without_data_is_shown_as_dead_though_its_position_packets_go_on() {
     assert_eq!((lidar.silences, lidar.missing), (1, 0), "{lidar:?}");
     assert!(dead.report.lost > 0);
     assert!(
-        lidar.notes.iter().any(|note| note.contains("no data")),
+        lidar.notes.iter().any(|note| note.contains("without data")),
         "{lidar:?}"
     );
     let rates = dead.recording.messages(&format!("{HEALTH}rate")).unwrap();

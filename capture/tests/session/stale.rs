@@ -60,7 +60,7 @@ fn a_lidar_that_sees_nothing_is_not_healthy() {
         packet.into_inner()
     });
     assert!(stream(&blind, "lidar").decoded > 30);
-    assert_stale(&blind, "lidar", "not a single return");
+    assert_stale(&blind, "lidar", "without returns");
     assert_eq!(lidar(mock::lidar_packet).lost, 0);
 }
 
@@ -85,21 +85,18 @@ fn partly_blind_of(millis: u64, is_seen: impl Fn(u16, usize) -> bool) -> Capture
 #[test]
 fn a_lidar_of_which_most_lasers_are_dead_is_not_healthy() {
     let one_left = partly_blind(|_, laser| laser == 7);
-    assert_stale(&one_left, "lidar", "31 of its 32 lasers see nothing");
+    assert_stale(&one_left, "lidar", "31 of its 32 lasers have no returns");
     // What is left is of use: it is said, and nothing is lost.
     let one_dead = partly_blind(|_, laser| laser != 7);
     let notes = stream(&one_dead, "lidar").notes.join("\n");
     assert!(
-        notes.contains("of 32, counted from below, sees nothing"),
+        notes.contains("of 32, counted from below, has no returns"),
         "{notes}"
     );
     assert_eq!(one_dead.lost, 0);
     let covered = partly_blind(|azimuth, _| !(4_000..7_000).contains(&azimuth));
     let notes = stream(&covered, "lidar").notes.join("\n");
-    assert!(
-        notes.contains("nothing comes back from 40° to 70°"),
-        "{notes}"
-    );
+    assert!(notes.contains("no returns between 40° and 70°"), "{notes}");
     assert_eq!(covered.lost, 0);
 }
 
@@ -108,13 +105,13 @@ fn a_lidar_of_which_most_lasers_are_dead_is_not_healthy() {
 fn a_short_recording_of_a_lidar_that_is_dead_is_not_healthy() {
     const MILLIS: u64 = 300;
     let one_left = partly_blind_of(MILLIS, |_, laser| laser == 7);
-    assert_stale(&one_left, "lidar", "31 of its 32 lasers see nothing");
+    assert_stale(&one_left, "lidar", "31 of its 32 lasers have no returns");
     let blind = partly_blind_of(MILLIS, |_, _| false);
-    assert_stale(&blind, "lidar", "not a single return");
+    assert_stale(&blind, "lidar", "none with any returns");
     let stands = lidar_of(MILLIS, |n| mock::lidar_packet(n.min(5)));
-    assert_stale(&stands, "lidar", "the sensor's clock stands");
+    assert_stale(&stands, "lidar", "the sensor's clock is stuck");
     let still = lidar_of(400, |n| with_azimuths(n, |_| 10_000));
-    assert_stale(&still, "lidar", "1 scans without a full turn of the rotor");
+    assert_stale(&still, "lidar", "1 scans longer than a turn of the rotor");
     let good = lidar_of(MILLIS, mock::lidar_packet);
     assert_eq!(good.lost, 0, "{good:?}");
 }
@@ -185,7 +182,7 @@ fn packets_of_two_models_from_one_address_are_of_two_sensors() {
 #[test]
 fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
     let stuck = lidar(|n| mock::lidar_packet(n.min(300)));
-    assert_stale(&stuck, "lidar", "its data made no scan");
+    assert_stale(&stuck, "lidar", "without a complete scan");
     let all_zeros = lidar(|_| vec![0; 1206]);
     assert!(all_zeros.lost > 5_000, "{all_zeros:?}");
 }
@@ -194,7 +191,7 @@ fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
 #[test]
 fn a_lidar_whose_rotor_stands_is_not_healthy() {
     let stands = lidar(|n| trembling_after(300, n));
-    assert_stale(&stands, "lidar", "no scan of a full turn");
+    assert_stale(&stands, "lidar", "without a complete scan");
     // At one angle: what is cut for its length comes three times a second, and looked like turns.
     let still = lidar(|n| {
         with_azimuths(n, |block| {
@@ -205,7 +202,7 @@ fn a_lidar_whose_rotor_stands_is_not_healthy() {
             }
         })
     });
-    assert_stale(&still, "lidar", "no scan of a full turn");
+    assert_stale(&still, "lidar", "without a complete scan");
 }
 
 /// Frames of a unit at 20 Hz, whose number and stamps go on while its pixels are those of `image`.

@@ -12,8 +12,9 @@ const SHOWN: f64 = 0.99;
 pub fn html(recording: &str, report: &ClockReport, judgement: &Judgement) -> String {
     let body = html! {
         p.note {
-            "Estimated from the recorded counters and arrivals alone. The constant part of a transport delay cannot be seen \
-             by any one-way method: it is in the offsets, and for a locked device it shows as the mean of the lower plot."
+            "Estimated from the recorded counters and arrivals alone. The constant part of a \
+             transport delay cannot be observed by any one-way method: it is part of the offsets, \
+             and for a locked device it shows as the mean of the lower plot."
         }
         @if !report.devices.is_empty() { section { h2 { "Clocks" } (scroll(&table(report))) } }
         @for clock in &report.devices { (device(clock)) }
@@ -29,7 +30,7 @@ fn table(report: &ClockReport) -> Markup {
         table.numbers {
             thead { tr {
                 th { "device" } th { "skew, ppm" } th { "σ, ppm" } th { "σ of the time, µs" } th { "epochs" }
-                th { "median delay, ms" } th { "99 % of delays, ms" } th { "recorded stamps, rms µs" }
+                th { "median delay, ms" } th { "99th percentile of delays, ms" } th { "recorded stamps, rms µs" }
             } }
             tbody {
                 @for clock in &report.devices {
@@ -55,7 +56,7 @@ fn device(clock: &DeviceClock) -> Markup {
     let kind = if clock.locked {
         "locked"
     } else {
-        "fitted to arrival"
+        "fitted to arrivals"
     };
     let start_ns = clock.epochs.first().map_or(0, |e| e.arrival_start_ns);
     let first_secs = clock.samples.first().map_or(0.0, |s| s.secs);
@@ -76,13 +77,13 @@ fn device(clock: &DeviceClock) -> Markup {
         section {
             h2 { (clock.device) ", " (kind) }
             figure {
-                (plot("delay beyond the shortest", "delay (ms)", &delays, &steps, 0).draw())
-                figcaption { "Delay beyond the shortest; the largest 1 % is cut off" @if !steps.is_empty() { "; red lines: its counter or the host's clock was set" } }
+                (plot("delay above the minimum", "delay (ms)", &delays, &steps, 0).draw())
+                figcaption { "Delay above the minimum; the largest 1 % is cut off" @if !steps.is_empty() { "; red lines: its counter or the host's clock was set" } }
             }
             @if !stamps.is_empty() {
                 figure {
-                    (plot("recorded less estimated time", "difference (µs)", &stamps, &steps, 1).draw())
-                    figcaption { "Recorded synchronized time less this estimate" }
+                    (plot("recorded − estimated time", "difference (µs)", &stamps, &steps, 1).draw())
+                    figcaption { "Recorded synchronized time − this estimate" }
                 }
             }
         }

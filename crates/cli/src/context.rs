@@ -80,7 +80,7 @@ impl Context {
         let said = standing::report(outputs, made_from)?;
         let names: Vec<String> = outputs.iter().map(|o| o.display().to_string()).collect();
         self.note(&format!(
-            "{}: up to date; --force makes it again",
+            "{}: up to date; use --force to recompute",
             names.join(", ")
         ));
         Some(said)
@@ -93,10 +93,7 @@ impl Context {
         let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;
         let stages = KeptStages::in_folder(&result.with_file_name(name), &made_from)?;
         if stages.has_any() {
-            self.note(&format!(
-                "{}: goes on where it was stopped",
-                result.display()
-            ));
+            self.note(&format!("{}: resuming where it stopped", result.display()));
         }
         Ok(stages)
     }

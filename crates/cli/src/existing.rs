@@ -13,7 +13,7 @@ use crate::files::is_same;
 pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result<()> {
     anyhow::ensure!(
         !read.iter().any(|input| is_same(input, result)),
-        "{}: would replace what is read: choose another name for the result",
+        "{}: would replace an input file: choose another name for the result",
         result.display()
     );
     anyhow::ensure!(
@@ -57,7 +57,7 @@ mod tests {
                 .join(".")
                 .join(path.file_name().expect("name"));
             let refusal = expect_free(path, &[&other_name], true).expect_err("read");
-            assert!(refusal.to_string().contains("what is read"), "{refusal}");
+            assert!(refusal.to_string().contains("an input file"), "{refusal}");
         }
     }
 }

@@ -42,7 +42,7 @@ pub fn named_path(text: &str) -> Result<(String, PathBuf), String> {
         Some((name, path)) if !name.is_empty() && !path.is_empty() => {
             Ok((name.to_owned(), PathBuf::from(path)))
         }
-        _ => Err("give a name and a path: PEER=result".to_owned()),
+        _ => Err("expected a name and a path: PEER=result".to_owned()),
     }
 }
 
@@ -58,7 +58,7 @@ pub fn expect_writable(result: &Path) -> anyhow::Result<()> {
         .and_then(|()| std::fs::remove_file(&trial))
         .with_context(|| {
             let result = result.display();
-            format!("{result}: cannot be written here: choose another folder, or change the permissions of this one")
+            format!("{result}: this folder is not writable: choose another one, or change its permissions")
         })
 }
 

@@ -30,10 +30,10 @@ pub fn named(error: &anyhow::Error, places: &[PathBuf]) -> Option<String> {
         .find_map(|place| full_disk_of(place));
     Some(match full {
         Some(mount) => format!(
-            "the disk mounted at {} is full: make room, or write elsewhere",
+            "the disk mounted at {} is full: free disk space, or write elsewhere",
             mount.display()
         ),
-        None => "the disk is full: make room, or write elsewhere".to_owned(),
+        None => "the disk is full: free disk space, or write elsewhere".to_owned(),
     })
 }
 

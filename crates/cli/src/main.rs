@@ -39,11 +39,12 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// What all commands have in common, behind the exit codes.
-const NOTES: &str = "Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no half-written file (when recording \
-devices it ends the recording, with 0 or 3); a second Ctrl-C stops it at once. Output is coloured on terminals; NO_COLOR turns colours off.
+const NOTES: &str = "Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no
+half-written file (when recording devices it ends the recording, with 0 or 3); a second Ctrl-C stops
+it at once. Output is coloured on terminals, unless NO_COLOR is set.
 
 Examples:
-  lsfb demo --out demo-out                               # everything below, simulated; open demo-out/report.html
+  lsfb demo --out demo-out                               # all of the below, simulated; open demo-out/report.html
   lsfb scan --devices devices.toml --out scan.mcap       # record the backpack
   lsfb map scan.mcap --out map                           # build the HD map
   lsfb groundtruth walk.mcap --map map --out walk.tum    # ground truth of a walk

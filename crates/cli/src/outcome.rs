@@ -11,15 +11,12 @@ pub const EXIT_CODES: [(&str, &str); 6] = [
     ("2", "bad arguments"),
     (
         "3",
-        "finished, but not whole: data was lost or cannot be read, or what is not certain is left out; the report says which",
+        "finished, but incomplete: data was lost or unreadable, or uncertain parts were left out; the report says which",
     ),
-    (
-        "4",
-        "finished, but what was judged has failed; the findings say why",
-    ),
+    ("4", "finished, but a check failed; the findings say why"),
     (
         "129, 130, 143",
-        "stopped: its terminal was closed (SIGHUP), by Ctrl-C, by SIGTERM",
+        "stopped by a closed terminal (SIGHUP), Ctrl-C or SIGTERM",
     ),
 ];
 
@@ -34,9 +31,9 @@ pub fn exit_codes() -> String {
 pub enum Outcome {
     /// Everything asked for was done.
     Done,
-    /// Finished, but data was lost or cannot be read, or what is not certain is left out; the report says which.
+    /// Finished, but data was lost or unreadable, or uncertain parts were left out; the report says which.
     DataLost,
-    /// Finished, and what was judged failed: a recording, a machine, a calibration; the findings say why.
+    /// Finished, but a check failed, of a recording, a machine, a calibration; the findings say why.
     JudgementFailed,
 }
 

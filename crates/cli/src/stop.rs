@@ -60,7 +60,7 @@ impl StopSignal {
         match i32::try_from(self.number.load(Ordering::SeqCst)) {
             Ok(SIGINT) => Some("Ctrl-C"),
             Ok(SIGTERM) => Some("SIGTERM"),
-            Ok(SIGHUP) => Some("the end of its terminal (SIGHUP)"),
+            Ok(SIGHUP) => Some("its terminal closing (SIGHUP)"),
             _ => None,
         }
     }

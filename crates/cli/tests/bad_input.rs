@@ -96,7 +96,7 @@ fn damaged_captures() {
     );
     let ending = report["streams"][0]["ending"].to_string();
     assert!(
-        ending.contains("cut.pcap") && ending.contains("cut off"),
+        ending.contains("cut.pcap") && ending.contains("truncated"),
         "{report}"
     );
     let recorded = Recording::open(&path.join("cut.mcap")).expect("recording");

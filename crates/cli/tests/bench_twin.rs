@@ -43,7 +43,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
     let refused = lsfb(root, &["bench", "twin", "--out", "mine", "--quick"]);
     assert_eq!(refused.status.code(), Some(1));
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(said.contains("not of a trial"), "{said}");
+    assert!(said.contains("do not belong to a trial"), "{said}");
 }
 
 /// A phone that stands before a corridor's door frame: features slide along the frame, in every image alike. Every second pose came out more than

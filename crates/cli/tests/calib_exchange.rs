@@ -98,10 +98,10 @@ fn the_simulators_rig_comes_back_from_every_format() {
         assert_eq!(written["files"], serde_json::json!(paths), "{program}");
         // What it cannot hold is said.
         let expected: &[&str] = match program {
-            "kalibr" => &["LiDAR", "when it was calibrated"],
-            "ros" => &["poses and time offsets", "LiDAR", "when it was calibrated"],
-            "colmap" => &["the pose in the IMU", "LiDAR", "when it was calibrated"],
-            _ => &["its odometry does not", "LiDAR", "when it was calibrated"],
+            "kalibr" => &["LiDAR", "the calibration date"],
+            "ros" => &["poses and time offsets", "LiDAR", "the calibration date"],
+            "colmap" => &["the pose in the IMU", "LiDAR", "the calibration date"],
+            _ => &["its odometry does not", "LiDAR", "the calibration date"],
         };
         let said = notes(&written);
         assert_eq!(said.len(), expected.len(), "{program}: {said:?}");
@@ -115,7 +115,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
         let said = notes(&json(folder.path(), &alone, 0));
         match program {
             "ros" => assert!(
-                matches!(&said[..], [n] if n.contains("no poses in CameraInfo")),
+                matches!(&said[..], [n] if n.contains("CameraInfo has no poses")),
                 "{said:?}"
             ),
             _ => assert!(said.is_empty(), "{program}: {said:?}"),
@@ -180,7 +180,7 @@ fn what_a_format_cannot_hold_is_said_with_its_size() {
     }
     let basalt = said("basalt");
     assert!(
-        basalt.contains("one time offset: the mean is written")
+        basalt.contains("a single time offset: the mean is written")
             && basalt.contains("µs")
             && basalt.contains("right is cam4"),
         "{basalt}"
@@ -207,7 +207,7 @@ fn files_that_are_none_are_refused() {
     refused(
         folder.path(),
         &["calib", "import", "basalt", "a", "b", "--out", "new.toml"],
-        &["2 files, at most 1"],
+        &["2 files, but at most 1"],
     );
 }
 
@@ -264,7 +264,7 @@ fn cameras_that_are_put_into_a_rig_stay_where_it_has_them() {
     refused(
         folder.path(),
         &[&import[..], &["other.toml", "--out", "new.toml"]].concat(),
-        &["nothing says where cam0 is on the rig, which has left"],
+        &["the pose of cam0 on the rig is unknown; the rig has left"],
     );
 }
 

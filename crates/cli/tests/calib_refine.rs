@@ -76,7 +76,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
     let page = std::fs::read_to_string(path.join("refined.html")).expect("a page");
     for word in [
         "PASS: 1 of 1 cameras",
-        "holdout parts",
+        "held-out parts",
         "<svg",
         "refined.cam0-after.png",
     ] {
@@ -118,7 +118,11 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         image.sample.pixels.fill(12);
     }
     covered.write(&path.join("covered.mcap"), 0.0);
-    lost("by-hand.toml", "covered.mcap", &["cam0", "covered, dark"]);
+    lost(
+        "by-hand.toml",
+        "covered.mcap",
+        &["cam0", "covered, in the dark"],
+    );
 
     // Nothing that stands still.
     let mut leaves = walk.clone();
@@ -135,7 +139,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         path,
         "leaves.mcap",
         "by-hand.toml",
-        &["do not fit on each other"],
+        &["cannot be registered to each other"],
     );
 
     let mut blind = walk.clone();

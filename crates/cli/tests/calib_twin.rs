@@ -80,7 +80,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     assert!(rms(turn_deg, other_deg) < 0.12, "{turn_deg}° {other_deg}°");
     assert!(rms(shift_mm, other_mm) < 5.0, "{shift_mm} mm {other_mm} mm");
     let page = std::fs::read_to_string(folder.path().join("after.html")).expect("a page");
-    assert!(page.contains("holdout") && page.contains("<svg"), "{page}");
+    assert!(page.contains("held-out") && page.contains("<svg"), "{page}");
 
     let checked = json(
         folder.path(),

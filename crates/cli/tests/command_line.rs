@@ -328,7 +328,7 @@ fn maps_that_stand_are_shown_exported_and_cut_and_joined_with_no_part_of_themsel
     refused(
         path,
         &joined,
-        &["same images", "a part of the other", "whole one"],
+        &["same images", "part of the other", "whole one"],
     );
     assert!(!path.join("both").exists());
 }
@@ -472,7 +472,7 @@ fn depth_is_given_where_the_scanner_saw_something() {
     let refused = depth("far.tum", "none");
     assert_eq!(refused.status.code(), Some(1));
     assert!(
-        said(&refused).contains("give poses in the world of"),
+        said(&refused).contains("give poses in the world frame of"),
         "{}",
         said(&refused)
     );

@@ -93,19 +93,19 @@ fn a_trajectory_goes_through_every_format_and_comes_back() {
     refused(
         root,
         "convert walk_kitti.txt --times walk_kitti_times.txt --format kitti --out walk_kitti.txt",
-        "would replace what is read",
+        "would replace an input file",
     );
     fs::write(root.join("positions.txt"), "1 2 3 4\n2 3 4 5\n").expect("written");
     refused(
         root,
         "convert positions.txt --format mcap --out no.mcap",
-        "positions only",
+        "only positions",
     );
     refused(root, "convert . --format tum --out no.tum", "name the file");
     refused(
         root,
         "convert walk.tum --times walk_kitti_times.txt --format csv --out no.csv",
-        "stamps of its own",
+        "its own stamps",
     );
     for nothing in ["no.mcap", "no.tum", "no.csv"] {
         assert!(!root.join(nothing).exists(), "{nothing}");

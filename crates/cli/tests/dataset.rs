@@ -69,7 +69,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
         .expect("time");
     assert_eq!(before, after);
     let other = MAKE.replace("4711", "4712");
-    assert!(said(root, &other).contains("of other settings"));
+    assert!(said(root, &other).contains("with other settings"));
 
     let stats = run(root, "dataset stats ds", 0);
     let sequence = &stats["sequences"][0];
@@ -115,7 +115,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     assert!(
         found["findings"]
             .to_string()
-            .contains("another one than dataset.toml names"),
+            .contains("differs from the one named in dataset.toml"),
         "{found}"
     );
     fs::write(&truth, poses).expect("truth");
@@ -161,7 +161,7 @@ fn reports(root: &Path) {
     let page = fs::read_to_string(root.join("page.html")).expect("page");
     for shown in [
         "Corridor (narrow)",
-        "C3-glasses against its truth",
+        "C3-glasses vs. its truth",
         "Translation error over time",
         "480×300",
     ] {

@@ -284,16 +284,16 @@ fn the_page_of_a_walk_shows_what_is_left_out(path: &Path) {
     for part in [
         "From above",
         "3D view",
-        "Localized, given and left out",
+        "Localized, exported and left out",
         "Standard deviation of positions",
         "Standard deviation of attitudes",
-        "Halves of the map against each other",
+        "Agreement between halves of the map",
         "Reprojection of map points",
         "Reprojection of local points",
         "Left out",
         "map parts disagree",
-        "Cameras against the rig file",
-        "Errors of the IMU",
+        "Cameras relative to the rig file",
+        "IMU errors",
         "verdict warn",
     ] {
         assert!(page.contains(part), "no {part:?}");

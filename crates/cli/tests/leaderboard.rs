@@ -189,7 +189,7 @@ fn uploads_are_scored_and_what_is_hostile_is_refused() {
     expect(
         &upload(address, "zip", SEQUENCE, b"\x1f\x8b\x08\x00\xff"),
         "400",
-        "is text",
+        "must be text",
     );
     let answer = upload(
         address,

@@ -91,7 +91,7 @@ fn two_lidars_on_one_port_are_two_and_never_make_one_cloud() {
     let said = notes(&report);
     assert!(
         said.contains("VLP-32C at 192.168.1.202")
-            && said.contains("600 packets of 192.168.1.201 were kept out"),
+            && said.contains("600 packets of 192.168.1.201 were rejected"),
         "{said}"
     );
     assert_eq!(packets("other.mcap", "lidar"), second);
@@ -107,7 +107,7 @@ fn two_lidars_on_one_port_are_two_and_never_make_one_cloud() {
     write(path, "angles.csv", b"channel,elevation,azimuth\n1,0,0\n");
     let one_file = ["--lidar-angles", "angles.csv", "--out", "refused.mcap"];
     let one_file = [&chosen[..], &named[..3], &one_file].concat();
-    refused(path, &one_file, &["front, rear", "of one sensor"]);
+    refused(path, &one_file, &["front, rear", "belongs to one sensor"]);
     let unusable = ["a/b=192.168.1.201", "--out", "refused.mcap"];
     let why = "letters, digits and underscores";
     refused(path, &[&chosen[..], &unusable].concat(), &[why]);
@@ -133,7 +133,7 @@ fn a_capture_without_the_lidar_says_what_is_in_it() {
             "ouster.pcap",
             &["20 datagrams of 24896 bytes to port 7502 from 192.168.1.201, looks like Ouster"][..],
         ),
-        ("tcp.pcap", &["no datagram of the LiDAR", "7 TCP segments"]),
+        ("tcp.pcap", &["it has no LiDAR datagrams", "7 TCP segments"]),
         (
             "elsewhere.pcap",
             &[
@@ -141,7 +141,7 @@ fn a_capture_without_the_lidar_says_what_is_in_it() {
                 "looks like Velodyne",
             ],
         ),
-        ("nothing.pcap", &["no datagram of the LiDAR is in it"]),
+        ("nothing.pcap", &["it has no LiDAR datagrams"]),
     ] {
         refused(path, &["scan", "--pcap", name, "--out", "out.mcap"], words);
         assert!(!path.join("out.mcap").exists(), "{name}");
@@ -176,7 +176,11 @@ fn another_sensor_on_the_lidars_port_is_named() {
     refused(
         path,
         &scan,
-        &["of 20 datagrams", "looks like RoboSense", "robosense.mcap"],
+        &[
+            "from 20 datagrams",
+            "looks like RoboSense",
+            "robosense.mcap",
+        ],
     );
     let recording = Recording::open(&path.join("robosense.mcap")).expect("recording");
     assert_eq!(recording.packets("lidar").expect("packets").count(), 20);
@@ -219,7 +223,7 @@ fn packets_that_overtook_each_other_are_put_back() {
     );
     assert_eq!(report["lost"], 0, "{report}");
     assert!(
-        notes(&report).contains("60 packets overtook others"),
+        notes(&report).contains("60 packets arrived out of order"),
         "{report}"
     );
     assert_eq!(
@@ -238,7 +242,7 @@ fn packets_that_overtook_each_other_are_put_back() {
         "{report}"
     );
     assert!(
-        notes(&report).contains("1 packets came too late to be put back"),
+        notes(&report).contains("1 packets came too late to be reordered"),
         "{report}"
     );
 }
@@ -261,8 +265,8 @@ fn models_that_are_not_there_are_refused_by_name() {
         ];
         match model {
             "vlp-32c" => drop(json(path, &scan, 0)),
-            "vlp-16" => refused(path, &scan, &["VLP-32C where a VLP-16 is configured"]),
-            _ => refused(path, &scan, &["where a XT32 is configured"]),
+            "vlp-16" => refused(path, &scan, &["VLP-32C, but a VLP-16 is configured"]),
+            _ => refused(path, &scan, &["but a XT32 is configured"]),
         }
     }
 }
@@ -380,7 +384,7 @@ fn two_lidars_with_one_address_are_refused() {
         });
         write(path, name, &capture(frames));
         let merged = ["scan", "--pcap", name, "--out", "merged.mcap"];
-        let words = ["packets of two sensors with one address, 192.168.1.201"];
+        let words = ["packets of two sensors at one address, 192.168.1.201"];
         refused(path, &merged, &words);
         assert!(!path.join("merged.mcap").exists(), "{name}");
     };

@@ -79,8 +79,8 @@ fn map_takes_a_feature_and_names_those_there_are() {
     let arguments = ["map", "--posed-images", &images, "--out", &map, "--feature"];
     for (feature, expected) in [
         ("xfeat", "lsfb models add"),
-        ("orb", "there are: sift"),
-        ("../xfeat", "there are: sift"),
+        ("orb", "available: sift"),
+        ("../xfeat", "available: sift"),
         ("sift", "no such file"),
     ] {
         let refused = lsfb(scratch.path(), &[&arguments[..], &[feature]].concat());

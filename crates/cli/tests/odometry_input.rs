@@ -212,7 +212,7 @@ fn a_folder_of_kitti_is_read_and_nothing_is_left_beside_the_result() {
     );
     let said = report.to_string();
     assert!(
-        said.contains("10 scans a second") && said.contains("not_deskewed"),
+        said.contains("10 scans per second") && said.contains("not_deskewed"),
         "{said}"
     );
     expect_path(&path.join("k.tum"));

@@ -98,7 +98,7 @@ fn places_in_centimetres_are_refused(root: &Path, walk: &str) {
     let said = lsfb(root, &command);
     assert_eq!(said.status.code(), Some(1), "{said:?}");
     let said = String::from_utf8_lossy(&said.stderr);
-    assert!(said.contains("100 m/s from one known place"), "{said}");
+    assert!(said.contains("100 m/s between known positions"), "{said}");
 }
 
 /// What a phone heard on its walk through a simulated place, so many floors up, at its true places. Each walk begins at another second.

@@ -39,7 +39,7 @@ pub enum Error {
         source: CloudError,
     },
     /// A file of an unknown kind.
-    #[error("{}: no cloud by its ending: {endings} are read", path.display())]
+    #[error("{}: not a point cloud by its extension: supported are {endings}", path.display())]
     UnknownEnding {
         /// The file.
         path: PathBuf,
@@ -47,7 +47,7 @@ pub enum Error {
         endings: String,
     },
     /// A folder holds no cloud.
-    #[error("{}: no cloud in this folder: files {endings} are read", path.display())]
+    #[error("{}: no point cloud in this folder: supported are {endings}", path.display())]
     NoClouds {
         /// The folder.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum Error {
         endings: String,
     },
     /// Clouds go back in time.
-    #[error("{}: its points are not later than those of the file before it: names are not in order of time, or some files carry times since an epoch and some do not", path.display())]
+    #[error("{}: its points are not later than those of the previous file: names are not in order of time, or only some files have times since an epoch", path.display())]
     CloudOrder {
         /// The file.
         path: PathBuf,
@@ -77,7 +77,7 @@ pub enum Error {
         problem: String,
     },
     /// Stamps follow each other as those of no such sensor do.
-    #[error("{}: {what}: its records are {period_s:e} s apart, as of no such sensor: its stamps are in another unit; where the format leaves it open, give it with --stamp-unit", path.display())]
+    #[error("{}: {what}: its records are {period_s:e} s apart, which is implausible: its stamps are in another unit; if the format leaves it open, give it with --stamp-unit", path.display())]
     StampUnit {
         /// The file or folder.
         path: PathBuf,
@@ -87,7 +87,7 @@ pub enum Error {
         period_s: f64,
     },
     /// Records of one source were stamped by clocks that have nothing to do with each other.
-    #[error("{}: {early} lies at {early_s:.3} s and {late} at {late_s:.3} s: they were stamped by different clocks, or in different units", path.display())]
+    #[error("{}: {early} is at {early_s:.3} s but {late} at {late_s:.3} s: they were stamped by different clocks, or in different units", path.display())]
     ClocksApart {
         /// The file or folder.
         path: PathBuf,

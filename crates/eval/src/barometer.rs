@@ -51,7 +51,7 @@ impl BarometerAgreement {
             false => (step_m, self.at_ns),
         };
         let what = format!(
-            "over {:.0} s heights change as its pressure says to {off_m:.1} m, most {} {}",
+            "over {:.0} s, heights agree with the pressure to {off_m:.1} m, worst {} {}",
             self.compared_secs,
             if is_brief {
                 "for some seconds from"
@@ -68,7 +68,7 @@ impl BarometerAgreement {
         Finding::new("barometer", verdict, "trajectory", what)
             .value(off_m, "m")
             .limit(Limit::AtMost(most_m))
-            .remedy("look at the trajectory there: one side of it may be on another floor")
+            .remedy("check the trajectory there: one side of that moment may be on another floor")
     }
 }
 

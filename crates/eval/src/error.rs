@@ -37,7 +37,7 @@ pub enum Error {
     Recording(#[from] lsfb_recording::Error),
     /// The unit of the stamps is not clear.
     #[error(
-        "{path}: stamps advance by {step} from pose to pose, which may be {possible}; say which (s, ms, us, ns)"
+        "{path}: stamps advance by {step} per pose, which may be {possible}; give the unit (s, ms, us, ns)"
     )]
     UnknownStampUnit {
         /// The file.
@@ -61,7 +61,7 @@ pub enum Error {
         distinct: usize,
     },
     /// The device is not there, or none of several was chosen.
-    #[error("{path}: say which device's trajectory; the file has {devices}")]
+    #[error("{path}: choose the device whose trajectory to use; the file has {devices}")]
     NoSuchDevice {
         /// The file.
         path: PathBuf,
@@ -69,13 +69,13 @@ pub enum Error {
         devices: String,
     },
     /// Positions are not enough.
-    #[error("{purpose} need orientations, and the file has positions only")]
+    #[error("{purpose} need orientations, but the file has only positions")]
     NeedsOrientation {
         /// What for.
         purpose: &'static str,
     },
     /// A file is no survey.
-    #[error("{path}: no survey: {what}")]
+    #[error("{path}: not a survey: {what}")]
     NotASurvey {
         /// The file.
         path: PathBuf,
@@ -84,7 +84,7 @@ pub enum Error {
     },
     /// Nothing says where a mark is.
     #[error(
-        "the distances do not determine where mark {mark} is; measure a further one to it, or one along a line"
+        "the distances do not determine the position of mark {mark}; measure another one to it, or one along a line"
     )]
     UndeterminedMark {
         /// The mark.
@@ -92,7 +92,7 @@ pub enum Error {
     },
     /// The distances fit a mark on either side of others.
     #[error(
-        "mark {mark} fits at two places, {apart_m:.2} m apart; measure a further distance to it"
+        "mark {mark} fits at two positions, {apart_m:.2} m apart; measure another distance to it"
     )]
     TwoPlaces {
         /// The mark.
@@ -101,15 +101,15 @@ pub enum Error {
         apart_m: f64,
     },
     /// A mark is visited that no distance names.
-    #[error("mark {mark} is visited, and no distance names it")]
+    #[error("mark {mark} is visited, but has no distance")]
     UnknownMark {
         /// The mark.
         mark: String,
     },
     /// The device did not rest on marks, or so it seems.
     #[error(
-        "{rests} rests in the trajectory, and no three of them lie like three of the {marks} marks; does its z point upwards? \
-         allow a larger spread of rests, or a larger reach of marks"
+        "{rests} rests in the trajectory, but no three of them match three of the {marks} marks; \
+         does its z axis point up? allow a larger spread of rests, or a larger reach of marks"
     )]
     TooFewRests {
         /// Rests found.
@@ -119,7 +119,7 @@ pub enum Error {
     },
     /// No inertial sample is of the time of the trajectory.
     #[error(
-        "no inertial samples (of {samples_span}) while there are poses ({poses_span}); are both of one walk, on one clock?"
+        "no IMU samples (they span {samples_span}) at the time of the poses ({poses_span}); do both belong to one walk, on one clock?"
     )]
     NoInertialSamples {
         /// First and last pose.
@@ -129,7 +129,7 @@ pub enum Error {
     },
     /// More rests and marks than can be tried.
     #[error(
-        "{rests} rests and {marks} marks are too many to try; ask for longer rests, or check in parts"
+        "{rests} rests and {marks} marks have too many combinations; require longer rests, or check in parts"
     )]
     TooManyRests {
         /// Rests found.
@@ -139,17 +139,17 @@ pub enum Error {
     },
     /// Rests fit different marks equally well.
     #[error(
-        "{rests} rests fit the marks in more than one way; write the order of visits into the survey (visit A B …)"
+        "{rests} rests fit the marks in more than one way; add the order of visits to the survey (visit A B …)"
     )]
     AmbiguousRests {
         /// Rests that fit.
         rests: usize,
     },
     /// No distance of a survey is between points of the map.
-    #[error("no distance has both ends among the survey's points; name map points (point A x y z)")]
+    #[error("no distance has both ends among the survey's points; add map points (point A x y z)")]
     NoMapDistance,
     /// Too few poses for what was asked.
-    #[error("{role} trajectory: {poses} poses, {needed} are needed")]
+    #[error("{role} trajectory: {poses} poses, but {needed} are needed")]
     TooFewPoses {
         /// "estimate", "reference" or "aligned".
         role: &'static str,
@@ -170,7 +170,7 @@ pub enum Error {
     },
     /// Poses of motion capture that hardly ever are where an IMU leads.
     #[error(
-        "{fit} of {poses} poses of the motion capture fit the inertial samples, {needed} are needed; check units (metres, rad/s, m/s²; the mean specific force is {force_m_s2:.2} m/s², 9.8 is expected), the IMU's axes and signs, the order of the quaternion's components, and that both are on one rigid body"
+        "{fit} of {poses} poses of the motion capture fit the IMU samples, but {needed} are needed; check the units (metres, rad/s, m/s²; the mean specific force is {force_m_s2:.2} m/s², expected 9.8), the IMU's axes and signs, the order of the quaternion components, and that both are on one rigid body"
     )]
     NotOneMotion {
         /// That fit.
@@ -184,7 +184,7 @@ pub enum Error {
     },
     /// Inertial samples are missing.
     #[error(
-        "no inertial samples for {gap_secs:.2} s: nothing says how the device moved; evaluate the parts before and after alone"
+        "no IMU samples for {gap_secs:.2} s, so that the motion there is unknown; evaluate the parts before and after separately"
     )]
     InertialGap {
         /// The longest gap, seconds.
@@ -192,7 +192,7 @@ pub enum Error {
     },
     /// A filter lost its numbers.
     #[error(
-        "the motion capture and the IMU cannot be joined from {secs:.2} s on; check the units of both (metres, rad/s, m/s²)"
+        "motion capture and IMU cannot be joined from {secs:.2} s on; check the units of both (metres, rad/s, m/s²)"
     )]
     Unstable {
         /// Since the IMU's first sample, seconds.
@@ -200,7 +200,7 @@ pub enum Error {
     },
     /// A trajectory from whose motion no clock can be read.
     #[error(
-        "{role} trajectory: it turns evenly or not at all, which tells nothing of the clocks; turn the device this way and that"
+        "{role} trajectory: its rotation is constant or absent and does not determine the clock offset; rotate the device back and forth"
     )]
     EvenRotation {
         /// "estimate" or "reference".
@@ -208,8 +208,8 @@ pub enum Error {
     },
     /// Two trajectories are never at one time within the search.
     #[error(
-        "the trajectories have less than 5 s in common within {search_secs} s of an offset of {around_secs} s (they span {spans}); say \
-         about how far the clocks are apart"
+        "the trajectories overlap by less than 5 s within {search_secs} s of an offset of \
+         {around_secs} s (they span {spans}); give the approximate clock offset"
     )]
     NoCommonTime {
         /// How far was searched, seconds.
@@ -221,7 +221,7 @@ pub enum Error {
     },
     /// Their angular speeds are not alike at any offset.
     #[error(
-        "the angular speeds are not alike at any offset (correlation {correlation:.2}); are both of one rigid body?"
+        "the angular rates do not agree at any offset (correlation {correlation:.2}); are both on one rigid body?"
     )]
     NotOneBody {
         /// The best correlation.
@@ -229,7 +229,7 @@ pub enum Error {
     },
     /// Two offsets fit equally well.
     #[error(
-        "the motion repeats itself: offsets of {first_secs:.2} and {second_secs:.2} s fit equally well; search less far, or move unevenly"
+        "the motion is periodic: offsets of {first_secs:.2} and {second_secs:.2} s fit equally well; reduce the search range, or move irregularly"
     )]
     TwoOffsets {
         /// The one, seconds.
@@ -239,8 +239,9 @@ pub enum Error {
     },
     /// The bodies turned about one axis only.
     #[error(
-        "the device turned about one axis only ({first_deg:.2}° about the first, {second_deg:.2}° about the second): where one body sits \
-         on the other does not follow; turn it about two"
+        "the device rotated about one axis only ({first_deg:.2}° about the first, {second_deg:.2}° \
+         about the second), which does not determine the transform between the bodies; rotate it \
+         about two"
     )]
     OneAxis {
         /// Turns about the main axis, degrees rms.
@@ -258,7 +259,7 @@ pub enum Error {
     },
     /// Only recordings can be written in other layouts.
     #[error(
-        "{path}: no recording that could be written in the layout {layout}; name an MCAP file, or take `as_is`"
+        "{path}: not a recording that can be written in the layout {layout}; give an MCAP file, or use `as_is`"
     )]
     NotExported {
         /// What the plan names.
@@ -280,7 +281,7 @@ pub enum Error {
     },
     /// Stamps go back.
     #[error(
-        "{role} trajectory: pose {index} (t = {time_secs} s) is older than the one before it; sort it by time"
+        "{role} trajectory: pose {index} (t = {time_secs} s) is older than the previous one; sort it by time"
     )]
     Reordered {
         /// "truth" or "estimate".
@@ -314,8 +315,9 @@ pub enum Error {
     },
     /// No two stamps are near enough.
     #[error(
-        "no pose of the estimate is within {max_difference_secs} s of one of the truth: truth spans {truth_span}, \
-         estimate {estimate_span}; same clock? shift the stamps or raise the allowed difference{hint}"
+        "no pose of the estimate is within {max_difference_secs} s of one of the truth: truth spans \
+         {truth_span}, estimate {estimate_span}; do they use the same clock? shift the stamps or \
+         raise the allowed difference{hint}"
     )]
     NoMatch {
         /// Allowed difference, seconds.
@@ -329,7 +331,7 @@ pub enum Error {
     },
     /// A position that no walk has.
     #[error(
-        "pose {index} of the {role}, t = {time_secs} s, is more than {limit_m:e} m from the origin: no unit of length makes a walk of that"
+        "pose {index} of the {role}, t = {time_secs} s, is more than {limit_m:e} m from the origin, which is implausible in any unit of length"
     )]
     TooFar {
         /// Which trajectory.
@@ -343,14 +345,14 @@ pub enum Error {
     },
     /// A walk that stands in two tables.
     #[error(
-        "{scans} scans of Wi-Fi stand in two of the walks, with the same readings at the same times: a walk that is compared with its copy is found exactly; give each walk once"
+        "two of the walks share {scans} Wi-Fi scans with the same readings at the same times: comparing a walk with its copy finds every place exactly; give each walk once"
     )]
     CopiedScans {
         /// Scans that are copies.
         scans: usize,
     },
     /// Fewer pairs than the computation needs.
-    #[error("only {matched} poses match, {needed} are needed for {purpose}")]
+    #[error("only {matched} poses match, but {needed} are needed for {purpose}")]
     TooFewMatches {
         /// Pairs found.
         matched: usize,
@@ -361,17 +363,17 @@ pub enum Error {
     },
     /// The matched positions lie on one line or in one point.
     #[error(
-        "the matched positions lie on one line, so that no rotation follows from them; evaluate with origin alignment or none"
+        "the matched positions lie on one line, which does not determine a rotation; evaluate with origin alignment or none"
     )]
     Degenerate,
     /// The matched positions do not move sideways.
     #[error(
-        "the matched positions do not move horizontally, so that no heading follows from them; evaluate without alignment"
+        "the matched positions do not move horizontally, which does not determine a heading; evaluate without alignment"
     )]
     NoHeading,
     /// All matched poses have one stamp.
     #[error(
-        "all matched poses are of one moment, t = {time_secs} s; there is no trajectory to judge"
+        "all matched poses have the same time, t = {time_secs} s; there is no trajectory to evaluate"
     )]
     NoDuration {
         /// That moment, seconds, as text.
@@ -412,7 +414,7 @@ pub enum Error {
         relation: PoseRelation,
     },
     /// The maximal stamp difference is negative or not finite.
-    #[error("maximal stamp difference {value} s must be a number of seconds, zero or more")]
+    #[error("the maximum stamp difference {value} s must be a number of seconds, zero or more")]
     BadMaxDifference {
         /// Value given, seconds.
         value: f64,

@@ -64,7 +64,7 @@ pub fn score(upload: &Path, truth: &TrajectoryFile) -> Result<Score, Error> {
     };
     if estimate.poses.len() > MAX_POSES {
         return Err(refuse(format!(
-            "{} poses, and at most {MAX_POSES} are judged",
+            "{} poses, but at most {MAX_POSES} are allowed",
             estimate.poses.len()
         )));
     }

@@ -22,7 +22,7 @@ pub enum Error {
     },
     /// The tensors of a file are those of no architecture that is known.
     #[error(
-        "{path}: its {tensors} tensors are those of no known network; known are: {known}",
+        "{path}: its {tensors} tensors belong to no supported network; supported are: {known}",
         path = path.display()
     )]
     UnknownArchitecture {
@@ -35,7 +35,7 @@ pub enum Error {
     },
     /// The weights are not those that were published.
     #[error(
-        "{path}: weights of {model} with SHA-256 {found}, which are not those published ({expected})",
+        "{path}: weights of {model} with SHA-256 {found}, which differ from the published ones ({expected})",
         path = path.display()
     )]
     UnknownWeights {
@@ -58,13 +58,13 @@ pub enum Damage {
     #[error("is neither .safetensors nor .onnx nor an archive with weights (.pt, .pth, .whl)")]
     UnknownKind,
     /// It ends too early, or something in it points beyond its end.
-    #[error("is cut off or damaged: {what} is not whole")]
+    #[error("is truncated or damaged: {what} is incomplete")]
     CutOff {
         /// What was being read.
         what: &'static str,
     },
     /// The list of its tensors makes no sense.
-    #[error("is damaged: its list of tensors makes no sense")]
+    #[error("is damaged: its list of tensors is invalid")]
     List,
     /// An archive without weights in it.
     #[error("holds no weights")]
@@ -74,8 +74,8 @@ pub enum Damage {
     OldTorch,
     /// An ONNX file of a network that is not known, or one put together otherwise.
     #[error(
-        "is an ONNX graph of none of the networks that are read from such files (XFeat, ALIKE, SuperPoint): found {found}; use the authors' \
-         own file of weights"
+        "is an ONNX graph of an unsupported network (supported: XFeat, ALIKE, SuperPoint): found \
+         {found}; use the authors' own weights"
     )]
     UnknownGraph {
         /// Its operators.
@@ -85,7 +85,7 @@ pub enum Damage {
     #[error("keeps its values in another file: export it as one file")]
     ExternalValues,
     /// A tensor that a network needs is absent or has another shape.
-    #[error("tensor {name} is absent or has another shape than {shape:?}")]
+    #[error("tensor {name} is missing or has another shape than {shape:?}")]
     Tensor {
         /// Its name.
         name: String,

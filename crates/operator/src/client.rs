@@ -52,7 +52,7 @@ pub(crate) async fn serve(
             let admitted = tokio::select! {
                 admitted = admit(&mut socket, &visit, &pin, &shared) => admitted.is_ok(),
                 () = ticket.sent_away() => {
-                    visit.refusals.count("made room for others");
+                    visit.refusals.count("disconnected to make room for others");
                     false
                 }
             };
@@ -210,7 +210,7 @@ impl Client<'_> {
         let command = match serde_json::from_str::<Command>(text) {
             Ok(command) => command,
             Err(error) => {
-                let why = format!("not understood: {error}");
+                let why = format!("invalid message: {error}");
                 return self.answer("unknown", &Err(why)).await;
             }
         };

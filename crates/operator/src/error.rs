@@ -9,7 +9,7 @@ pub enum Error {
     Server(#[from] lsfb_web::Error),
     /// Other machines can reach the address, and could read and change what is said there.
     #[error(
-        "{address} can be reached from other machines: there the screen is served by TLS alone"
+        "{address} can be reached from other machines, to which the screen is served over TLS only"
     )]
     Plain {
         /// The address.

@@ -337,7 +337,7 @@ impl Client<'_> {
     async fn take(&mut self, text: &str) -> Result<(), Gone> {
         let message = match serde_json::from_str::<ClientMessage>(text) {
             Ok(message) => message,
-            Err(error) => return self.status(1, &format!("not understood: {error}")).await,
+            Err(error) => return self.status(1, &format!("invalid message: {error}")).await,
         };
         let mut unknown = Vec::new();
         {

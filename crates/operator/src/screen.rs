@@ -179,7 +179,7 @@ fn mount(
                 None => Seat::take(&shared).map(Admission::Given),
             };
             let Some(admission) = admission else {
-                let full = "too many browsers show this screen; one that has gone makes room";
+                let full = "too many browsers show this screen; close one of them";
                 return under(POLICY, said(StatusCode::SERVICE_UNAVAILABLE, full));
             };
             let protocol = offered(&request, &[PROTOCOL]);
@@ -200,11 +200,11 @@ fn answer(
 ) -> Option<Answer> {
     let refuse = |status, words| Some(under(POLICY, said(status, words)));
     if *request.method() != Method::GET {
-        return refuse(StatusCode::METHOD_NOT_ALLOWED, "nothing is taken here");
+        return refuse(StatusCode::METHOD_NOT_ALLOWED, "method not allowed");
     }
     if !shared.names.are_asked(request) {
-        let problem = "this screen is not known by that name: open it by the address on the scanner's terminal, or start the \
-            scanner with --screen-name";
+        let problem = "this screen is not known by that name: open it at the address on the \
+            scanner's terminal, or start the scanner with --screen-name";
         return refuse(StatusCode::MISDIRECTED_REQUEST, problem);
     }
     let path = request.uri().path().trim_start_matches('/');
@@ -222,7 +222,7 @@ fn answer(
                 POLICY,
                 file_of(StatusCode::OK, file.media_type, file.body),
             )),
-            None => refuse(StatusCode::NOT_FOUND, "there is nothing here"),
+            None => refuse(StatusCode::NOT_FOUND, "not found"),
         };
     }
     if !is_own_page(request, visit.is_secure) {

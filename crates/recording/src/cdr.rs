@@ -25,13 +25,13 @@ pub enum CdrError {
         available: usize,
     },
     /// The first bytes do not announce little-endian CDR.
-    #[error("encapsulation is {found:02x?}, only little-endian CDR (00 01) is read")]
+    #[error("encapsulation is {found:02x?}, but only little-endian CDR (00 01) is supported")]
     Encapsulation {
         /// The first two bytes.
         found: [u8; 2],
     },
     /// A field holds something that no such message holds.
-    #[error("field `{field}` holds a value that is not valid or not supported")]
+    #[error("field `{field}` has an invalid or unsupported value")]
     Value {
         /// The field.
         field: &'static str,

@@ -134,7 +134,7 @@ pub enum Error {
         reason: String,
     },
     /// An earlier write failed. What was written before that is intact; the rest of the recording is lost.
-    #[error("{}: recording stopped at byte {intact_bytes}: {cause}; what was written before is intact", path.display())]
+    #[error("{}: recording stopped at byte {intact_bytes}: {cause}; everything before is intact", path.display())]
     WriterFailed {
         /// The file.
         path: PathBuf,

@@ -69,10 +69,12 @@ fn parse_line(line: &str) -> Result<StampedPose, String> {
             columns.len()
         ));
     }
-    let time = parse_stamp(stamp).ok_or_else(|| format!("`{stamp}` is no time in seconds"))?;
+    let time = parse_stamp(stamp).ok_or_else(|| format!("`{stamp}` is not a time in seconds"))?;
     let mut values = [0.0f64; COLUMNS - 1];
     for (value, text) in values.iter_mut().zip(numbers) {
-        *value = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+        *value = text
+            .parse()
+            .map_err(|_| format!("`{text}` is not a number"))?;
         if !value.is_finite() {
             return Err(format!("`{text}` is not finite"));
         }
@@ -204,7 +206,7 @@ mod tests {
             ("1 0 0 0 0 0 0 4e160", "norm inf"),
             ("1 0 0 inf 0 0 0 1", "not finite"),
             ("1 0 0 nan 0 0 0 1", "not finite"),
-            ("1 0 0 x 0 0 0 1", "`x` is no number"),
+            ("1 0 0 x 0 0 0 1", "`x` is not a number"),
             ("t 0 0 0 0 0 0 1", "`t` is no time"),
         ] {
             let (_dir, path) = file(&format!("# head\n0 0 0 0 0 0 0 1\n{line}\n"));

@@ -76,7 +76,7 @@ impl Scene {
         );
         Some(html! {
             figure.scene {
-                canvas tabindex="0" role="img" aria-label="map and trajectories, which can be turned" {}
+                canvas tabindex="0" role="img" aria-label="map and trajectories in 3D" {}
                 // Numbers alone: nothing in it can end the script.
                 script type="application/json" { (PreEscaped(data)) }
                 figcaption {
@@ -84,7 +84,7 @@ impl Scene {
                         span.key { span.line style=(format!("border-color:{}", ink_css(path.series))) {} (path.name) }
                     }
                     @if self.paths.iter().any(|p| p.is_truth) { span.key { span.line.truth {} "truth" } }
-                    span.key.hint { "drag to turn, two fingers or Shift to move, Ctrl and wheel to zoom, double-click to reset" }
+                    span.key.hint { "drag to rotate, two fingers or Shift to move, Ctrl and wheel to zoom, double-click to reset" }
                 }
             }
         })

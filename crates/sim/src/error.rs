@@ -15,7 +15,7 @@ pub enum Error {
     Wire(#[from] lsfb_drivers::WireError),
     /// The host takes no more packets.
     #[error(
-        "{device}: the host has received {received} of {sent} packets and takes no more; is it still recording?"
+        "{device}: the host has received {received} of {sent} packets and accepts no more; is it still recording?"
     )]
     Stalled {
         /// Which device.

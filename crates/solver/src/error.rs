@@ -23,7 +23,7 @@ pub enum Error {
         components: usize,
     },
     /// Bounds that no value keeps.
-    #[error("component {component} of block {block} cannot lie between {lower} and {upper}")]
+    #[error("component {component} of block {block} cannot be bounded by {lower} and {upper}")]
     EmptyBounds {
         /// Index of the block.
         block: usize,
@@ -35,7 +35,7 @@ pub enum Error {
         upper: f64,
     },
     /// A residual was given another number of blocks than it reads.
-    #[error("residual {residual} reads {expected} blocks and was given {got}")]
+    #[error("residual {residual} reads {expected} blocks but was given {got}")]
     BlockCount {
         /// Index of the residual.
         residual: usize,
@@ -46,7 +46,7 @@ pub enum Error {
     },
     /// A residual was given a block of another type than it reads.
     #[error(
-        "residual {residual} reads a block of {expected:?} at position {position} and was given {got:?}"
+        "residual {residual} reads a block of {expected:?} at position {position} but was given {got:?}"
     )]
     BlockShape {
         /// Index of the residual.
@@ -87,16 +87,14 @@ pub enum Error {
         second: usize,
     },
     /// A block starts at NaN or infinity.
-    #[error(
-        "block {block} starts at a value that is not finite: check what it was initialised from"
-    )]
+    #[error("block {block} starts at a value that is not finite: check its initial value")]
     BlockNotFinite {
         /// Index of the block.
         block: usize,
     },
     /// A residual is NaN or infinite at the starting values or, with its Jacobian, at an accepted step.
     #[error(
-        "residual {residual} (blocks {blocks:?}) is not finite: its measurement or weight is, or its domain check is missing"
+        "residual {residual} (blocks {blocks:?}) is not finite: its measurement or weight is not finite, or its domain check is missing"
     )]
     ResidualNotFinite {
         /// Index of the residual.
@@ -138,7 +136,7 @@ pub enum Error {
     },
     /// An analytic Jacobian differs from the numeric one.
     #[error(
-        "residual {residual}, block at position {position}: Jacobian entry ({row}, {column}) is {analytic}, by differences {numeric}"
+        "residual {residual}, block at position {position}: Jacobian entry ({row}, {column}) is {analytic}, but {numeric} by differences"
     )]
     JacobianMismatch {
         /// Index of the residual.
@@ -156,7 +154,7 @@ pub enum Error {
     },
     /// It goes on and on.
     #[error(
-        "no minimum after {iterations} iterations: what was measured hardly determines what is searched, or contradicts itself"
+        "did not converge within {iterations} iterations: the measurements hardly determine the unknowns, or contradict each other"
     )]
     NotConverged {
         /// Iterations in all.

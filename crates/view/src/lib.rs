@@ -261,7 +261,7 @@ fn log_all(
     for (done, walk) in inputs.walks.iter().enumerate() {
         let tell = |part: u64| {
             progress(Progress {
-                stage: "write view",
+                stage: "writing view",
                 done: done as u64 * walk::PARTS + part,
                 total: total * walk::PARTS,
             })

@@ -65,7 +65,7 @@ pub(crate) async fn accept_all(
         tokio::spawn(async move {
             tokio::select! {
                 () = serve(tcp, tls, routes, visit) => {}
-                () = ticket.sent_away() => refusals.count("made room for others"),
+                () = ticket.sent_away() => refusals.count("disconnected to make room for others"),
             }
         });
     }
@@ -126,7 +126,7 @@ where
         served = &mut connection => if served.is_err() {
             refusals.count("bad HTTP");
         },
-        () = introduced => refusals.count("did not say who it is"),
+        () = introduced => refusals.count("did not identify itself"),
         _ = running.changed() => {}
     }
 }

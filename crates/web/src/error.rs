@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 #[non_exhaustive]
 pub enum Error {
     /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {cause}; is another program there?")]
+    #[error("cannot listen on {address}: {cause}; is another program using it?")]
     Listen {
         /// The address.
         address: SocketAddr,

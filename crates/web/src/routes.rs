@@ -75,7 +75,7 @@ impl Routes {
             Some(handler) => handler(request, visit).await,
             None => said(
                 StatusCode::SERVICE_UNAVAILABLE,
-                "nothing is served here now; while a recording runs, phones can connect",
+                "nothing is being recorded; phones can connect while a recording runs",
             ),
         }
     }

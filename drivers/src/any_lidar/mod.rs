@@ -53,13 +53,13 @@ macro_rules! lidars {
                 bytes: usize,
             },
             /// Of another sensor than the configured one.
-            #[error("packets of another sensor where a {expected} is configured")]
+            #[error("packets of another sensor, but a {expected} is configured")]
             WrongSensor {
                 /// The configured model.
                 expected: Model,
             },
             /// Of nobody that is known.
-            #[error("a datagram of {bytes} bytes is not of a LiDAR that is known here")]
+            #[error("a datagram of {bytes} bytes is not from a supported LiDAR")]
             Unknown {
                 /// Its length.
                 bytes: usize,

@@ -22,7 +22,7 @@ pub enum AnglesError {
         text: String,
     },
     /// Channels are not numbered 1, 2, 3 …
-    #[error("line {line}: channel {got} where {expected} was expected")]
+    #[error("line {line}: channel {got}, expected {expected}")]
     Order {
         /// Its number, from 1.
         line: usize,

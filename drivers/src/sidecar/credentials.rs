@@ -99,7 +99,7 @@ pub enum PairingCodeError {
     Scheme,
     /// A part is not there, or not as it should be.
     #[error(
-        "the {0} of the pairing code is missing or wrong; it is HOST:PORT?fp=64 digits&tok=32 digits"
+        "the {0} of the pairing code is missing or wrong; expected HOST:PORT?fp=64 digits&tok=32 digits"
     )]
     Part(&'static str),
 }

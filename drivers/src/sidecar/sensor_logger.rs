@@ -155,11 +155,11 @@ pub struct PushedBody {
 #[non_exhaustive]
 pub enum PushError {
     /// No JSON, or another object.
-    #[error("not a body of Sensor Logger: messageId, sessionId and payload are expected")]
+    #[error("not a Sensor Logger body: expected messageId, sessionId and payload")]
     Body,
     /// All times are of no year in which phones are carried about.
     #[error(
-        "its times are not nanoseconds since 1970 of the years 2000 to 2038: set the phone's clock, and push in the app's own format"
+        "its times are not nanoseconds since 1970 in the years 2000 to 2038: set the phone's clock, and push in the app's own format"
     )]
     Times,
     /// Too many readings.
@@ -167,8 +167,8 @@ pub enum PushError {
     Many,
     /// Forces in another unit than was said when the app was invited.
     #[error(
-        "the raw accelerometer measures {} here, and the app was invited with the other unit: switch \"Standardise Units & Frames\" \
-         in the app's settings, or invite it anew with `--units`",
+        "the raw accelerometer measures {} here, but the app was paired with the other unit: switch \
+         \"Standardise Units & Frames\" in the app's settings, or pair it again with `--units`",
         if *.in_g { "in g" } else { "in m/s²" }
     )]
     Units {

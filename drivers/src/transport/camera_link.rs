@@ -146,7 +146,7 @@ fn built_without_nodes(path: &Path) -> Error {
         action: "open the camera node",
         cause: io::Error::new(
             io::ErrorKind::Unsupported,
-            "this program knows mock cameras only; build it with `--features hardware`",
+            "this build supports mock cameras only; build it with `--features hardware`",
         ),
     }
 }
@@ -165,7 +165,7 @@ mod tests {
         assert!(folder.contains("neither a capture node nor"), "{folder}");
         let node = open(Path::new("/dev/null"));
         let expected = if cfg!(feature = "hardware") {
-            "no V4L2 capture node"
+            "not a V4L2 capture node"
         } else {
             "--features hardware"
         };

@@ -144,11 +144,11 @@ impl CanSource {
         }
         socket
             .set_error_filter_accept_all()
-            .map_err(failed("ask for errors of the bus"))?;
+            .map_err(failed("request bus errors"))?;
         setsockopt(&socket, sockopt::ReceiveTimestampns, &true)
-            .map_err(|e| failed("ask for kernel receive stamps")(e.into()))?;
+            .map_err(|e| failed("request kernel receive stamps")(e.into()))?;
         setsockopt(&socket, sockopt::RxqOvfl, &1)
-            .map_err(|e| failed("ask for the drop counter")(e.into()))?;
+            .map_err(|e| failed("request the drop counter")(e.into()))?;
         Ok(Self {
             socket,
             device,

@@ -53,7 +53,7 @@ impl PcapWriter {
     pub fn create(path: &Path, encapsulation: Encapsulation) -> Result<Self, Error> {
         let file = File::create(path).map_err(|cause| Error::Open {
             device: path.display().to_string(),
-            action: "make the capture file",
+            action: "create the capture file",
             cause,
         })?;
         let mut writer = Self {

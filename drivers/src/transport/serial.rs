@@ -141,7 +141,7 @@ impl Pty {
     pub fn open() -> Result<Self, Error> {
         let (master, path) = raw_pair().map_err(|e| Error::Open {
             device: "pseudo-terminal".to_owned(),
-            action: "make the pair",
+            action: "create the pair",
             cause: e.into(),
         })?;
         Ok(Self {

@@ -191,9 +191,9 @@ impl Port {
             .local_addr()
             .map_err(failed("read the bound address"))?;
         setsockopt(&socket, sockopt::ReceiveTimestampns, &true)
-            .map_err(|e| failed("ask for kernel receive stamps")(e.into()))?;
+            .map_err(|e| failed("request kernel receive stamps")(e.into()))?;
         setsockopt(&socket, sockopt::RxqOvfl, &1)
-            .map_err(|e| failed("ask for the drop counter")(e.into()))?;
+            .map_err(|e| failed("request the drop counter")(e.into()))?;
         // Only a privileged process may exceed net.core.rmem_max; everyone else gets what that allows.
         if setsockopt(&socket, sockopt::RcvBufForce, &wanted_bytes).is_err() {
             setsockopt(&socket, sockopt::RcvBuf, &wanted_bytes)

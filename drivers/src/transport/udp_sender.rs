@@ -20,7 +20,7 @@ impl UdpSender {
         };
         let socket = UdpSocket::bind(any).map_err(|cause| Error::Open {
             device: target.to_string(),
-            action: "take a port to send from",
+            action: "bind a port to send from",
             cause,
         })?;
         Ok(Self { socket, target })

@@ -193,7 +193,7 @@ impl WebSocketConnection {
                     return Err(Error::Protocol {
                         device: self.device.clone(),
                         problem: format!(
-                            "a text message of {} bytes; only binary is spoken",
+                            "a text message of {} bytes; only binary messages are supported",
                             text.len()
                         ),
                     });

@@ -139,14 +139,14 @@ pub(crate) fn read_table(
 /// The columns of the one record batch that a file of ours has. Arrow's own reader takes a file at its word, and panics where
 /// that is wrong; here every length is compared first.
 fn decode(bytes: &Buffer) -> Result<Vec<(String, Column)>, &'static str> {
-    const CUT_OFF: &str = "the record batch is cut off";
+    const CUT_OFF: &str = "the record batch is truncated";
     let tail = bytes.len().checked_sub(TRAILER_BYTES);
     let tail = tail.ok_or("too short for an Arrow file")?;
     let trailer = bytes[tail..].try_into().map_err(|_| "no trailer")?;
-    let footer_length = read_footer_length(trailer).map_err(|_| "no Arrow file")?;
+    let footer_length = read_footer_length(trailer).map_err(|_| "not an Arrow file")?;
     let start = tail
         .checked_sub(footer_length)
-        .ok_or("the footer is cut off")?;
+        .ok_or("the footer is truncated")?;
     let footer = root_as_footer(&bytes[start..tail]).map_err(|_| "the footer is damaged")?;
     let schema = footer.schema().ok_or("no schema")?;
     let block = footer
@@ -267,7 +267,7 @@ impl Parts<'_> {
         let end = offset.checked_add(length);
         let fits = bytes <= length && end.is_some_and(|end| end <= self.body.len());
         fits.then(|| self.body.slice_with_length(offset, bytes))
-            .ok_or("a column is cut off")
+            .ok_or("a column is truncated")
     }
 
     fn numbers<T: ArrowNativeType>(

@@ -63,7 +63,10 @@ impl DescriptorIndex {
     /// From the files in the order of [`TABLES`].
     pub(crate) fn from_tables(tables: &[Table]) -> Result<Self, Error> {
         let [lists, entries, codebook] = tables else {
-            return Err(broken(Path::new(TABLES[0]), "an index has three files"));
+            return Err(broken(
+                Path::new(TABLES[0]),
+                "an index must have three files",
+            ));
         };
         let [centroids, first_entry] = lists.columns(LISTS)?;
         let [entry, codes, offsets] = entries.columns(ENTRIES)?;
@@ -83,11 +86,14 @@ impl DescriptorIndex {
             return Err(broken(&entries.path, &reason));
         }
         if columns.words.len() != DESCRIPTOR_LEN * WORDS {
-            return Err(broken(&codebook.path, "not 256 words of 128 dimensions"));
+            return Err(broken(
+                &codebook.path,
+                "expected 256 words of 128 dimensions",
+            ));
         }
         let count = columns.entries.len();
         if columns.entries.iter().any(|e| *e as usize >= count) {
-            return Err(broken(&entries.path, "a row points to nothing"));
+            return Err(broken(&entries.path, "a row has an index out of range"));
         }
         let first = &columns.first_entry;
         let in_order = first.windows(2).all(|w| w[0] <= w[1]);
@@ -95,7 +101,7 @@ impl DescriptorIndex {
             .last()
             .map_or(count == 0, |last| *last as usize <= count);
         if first.first().is_some_and(|v| *v != 0) || !in_order || !ends {
-            return Err(broken(&lists.path, "a row points to nothing"));
+            return Err(broken(&lists.path, "a row has an index out of range"));
         }
         Ok(Self::from_columns(columns))
     }

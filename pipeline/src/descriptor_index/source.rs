@@ -65,7 +65,9 @@ impl DescriptorFile {
             }),
             _ => Err(Error::DescriptorFile {
                 path: path.to_owned(),
-                reason: format!("{bytes} bytes are no whole number of records of {RECORD_BYTES}"),
+                reason: format!(
+                    "{bytes} bytes are not a whole number of records of {RECORD_BYTES}"
+                ),
             }),
         }
     }

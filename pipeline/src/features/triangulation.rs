@@ -76,7 +76,7 @@ pub enum TriangulationFailure {
     #[error("too little parallax")]
     TooLittleParallax,
     /// The point is behind a camera or too near.
-    #[error("behind or too near a camera")]
+    #[error("behind or too close to a camera")]
     NotInFront,
 }
 

@@ -56,12 +56,13 @@ impl GroundTruthWarning {
                 "without-imu",
                 "IMU",
                 format!(
-                    "the recording has no inertial samples{}: images alone say where the device was; lengths and the vertical are the \
-                     map's, which nothing checks, and no pose is given where too little of it is in view",
-                    if *in_rig { ", though the rig file has an IMU" } else { "" }
+                    "the recording has no IMU samples{}: the poses come from images alone; lengths \
+                     and the vertical are the map's and are not checked, and there is no pose where \
+                     too little of the map is in view",
+                    if *in_rig { ", although the rig file has an IMU" } else { "" }
                 ),
             )
-            .remedy("record the IMU with the images"),
+            .remedy("record the IMU together with the images"),
             Self::ImuGaps { intervals } => warn(
                 "imu-gaps",
                 "IMU",
@@ -69,7 +70,7 @@ impl GroundTruthWarning {
             )
             .value(*intervals as f64, "")
             .limit(Limit::AtMost(0.0))
-            .remedy("record the IMU without pauses"),
+            .remedy("record the IMU without gaps"),
             Self::ImuPause {
                 after_secs,
                 secs,
@@ -78,13 +79,13 @@ impl GroundTruthWarning {
                 "imu-pause",
                 "IMU",
                 format!(
-                    "no samples from {after_secs:.2} s to {:.2} s after the first image: the parts on both sides cannot be joined",
+                    "no samples from {after_secs:.2} s to {:.2} s after the first image: the parts before and after cannot be joined",
                     after_secs + secs
                 ),
             )
             .value(*secs, "s")
             .limit(Limit::AtMost(*longest_secs))
-            .remedy("record the IMU without pauses"),
+            .remedy("record the IMU without gaps"),
             Self::DamagedImages { images } => warn(
                 "damaged-images",
                 "images",
@@ -95,7 +96,7 @@ impl GroundTruthWarning {
             Self::DamagedSamples { samples } => warn(
                 "damaged-samples",
                 "IMU",
-                format!("{samples} are damaged, or have the stamp of another one, and were skipped"),
+                format!("{samples} are damaged or have the stamp of another sample, and were skipped"),
             )
             .value(*samples as f64, "")
             .limit(Limit::AtMost(0.0)),
@@ -110,7 +111,7 @@ impl GroundTruthWarning {
             Self::FrozenImages { images } => warn(
                 "frozen-images",
                 "images",
-                format!("{images} are the image before once more, though the device moved, and were not used"),
+                format!("{images} are duplicates of the previous image although the device moved, and were not used"),
             )
             .value(*images as f64, "")
             .limit(Limit::AtMost(0.0))
@@ -118,7 +119,7 @@ impl GroundTruthWarning {
             Self::FrozenSamples { secs } => warn(
                 "frozen-samples",
                 "IMU",
-                format!("for {secs:.1} s a sensor repeats one reading, though the device moved; these samples were not used"),
+                format!("for {secs:.1} s a sensor repeats one reading although the device moved; these samples were not used"),
             )
             .value(*secs, "s")
             .limit(Limit::AtMost(0.0))
@@ -127,22 +128,22 @@ impl GroundTruthWarning {
                 "place-not-checked",
                 "trajectory",
                 format!(
-                    "for {secs:.1} s too few of the map's points were mapped from where the walk went to tell the place from another \
-                     that is built alike"
+                    "for {secs:.1} s too few map points were mapped from near the walk to \
+                     distinguish this place from another built alike"
                 ),
             )
             .value(*secs, "s")
             .limit(Limit::AtMost(0.0))
-            .remedy("walk where the scanner went, or make sure that there is no other place like it"),
+            .remedy("walk where the scanner went, or make sure that no other place looks like it"),
             Self::LooksAlike { other } => warn(
                 "looks-alike",
                 "trajectory",
                 format!(
-                    "{} points of the map are found where the walk is, and {} if all of it were {:.1} m away and turned by {:.0}°: there the map looks much the same",
+                    "{} map points are found where the walk is, and {} if all of it were {:.1} m away and rotated by {:.0}°, where the map looks much the same",
                     other.matches_here, other.matches_there, other.away_m, other.turn_deg
                 ),
             )
-            .remedy("make sure that it is this place, or walk on to where the place is unmistakable"),
+            .remedy("make sure that it is this place, or extend the walk to a place that is unique"),
             Self::FoundElsewhere {
                 away_m,
                 turn_deg,
@@ -151,13 +152,14 @@ impl GroundTruthWarning {
                 "found-elsewhere",
                 "trajectory",
                 format!(
-                    "most of its images were recognised {away_m:.1} m from here and turned by {turn_deg:.0}°, where {:.0} % of what the map says \
-                     should be in view is not there; here it is",
+                    "most of its images were recognised {away_m:.1} m away and rotated by \
+                     {turn_deg:.0}°, but {:.0} % of the map points that should be in view there are \
+                     absent; here they are present",
                     1e2 * absent_share
                 ),
             )
             .value(1e2 * absent_share, "%")
-            .remedy("make sure that it is this place; the map has two that look alike"),
+            .remedy("make sure that it is this place; the map has two places that look alike"),
             Self::NotAtRest {
                 rounds,
                 changing,
@@ -167,19 +169,19 @@ impl GroundTruthWarning {
                 "not-at-rest",
                 "poses",
                 format!(
-                    "after {rounds} rounds another one would take in or leave out {changing} observations; the last moved poses by up to \
-                     {:.1} mm and {turned_deg:.2}°",
+                    "did not converge within {rounds} iterations: another would change {changing} \
+                     observations; the last one moved poses by up to {:.1} mm and {turned_deg:.2}°",
                     1e3 * moved_m
                 ),
             )
             .value(1e3 * *moved_m, "mm")
-            .remedy("check the calibration of the device, and whether the map is of this place as it is now"),
+            .remedy("check the calibration of the device, and whether the map still matches this place"),
             Self::FailedMap { what } => warn(
                 "failed-map",
                 "map",
-                format!("it failed when it was made, and was used as accept_failed_map says: {what}"),
+                format!("it failed its checks when it was made, and was used because of accept_failed_map: {what}"),
             )
-            .remedy("mend that and map the place again"),
+            .remedy("fix that and map the place again"),
         }
     }
 }
@@ -207,32 +209,32 @@ impl LeftOutReason {
         match self {
             Self::NotRecognised => (
                 "too little of the map was recognised in their images",
-                "map what is seen there too",
+                "map what can be seen there as well",
             ),
             Self::Uncertain => (
-                "their poses are not certain enough (max_position_sigma_m, or 1.1° of an attitude)",
-                "walk where more of the map is in view, or allow more",
+                "their poses are too uncertain (max_position_sigma_m, or an attitude above 1.1°)",
+                "walk where more of the map is in view, or raise the limit",
             ),
             Self::Contradicted => (
-                "their images were found at places that contradict the IMU and the rest of the walk",
-                "check whether the map is of this place as it is now",
+                "their images were localized at poses that contradict the IMU and the rest of the walk",
+                "check whether the map still matches this place",
             ),
             Self::MapPartsDisagree => (
-                "with half of the map's points withheld they lie elsewhere (max_disagreement_m)",
+                "their poses move when half of the map's points are withheld (max_disagreement_m)",
                 "map the place again with more views of it, or walk where more of the map is in view",
             ),
             Self::PointsAbsent => (
-                "too many points of the map that should be in view are not there (max_absent_share): the place has changed, or is another \
-                 that is built alike",
-                "map it as it is, or allow more if no other place looks like it",
+                "too many map points that should be in view are absent (max_absent_share): the place \
+                 has changed, or it is another place built alike",
+                "map it again, or raise the limit if no other place looks like it",
             ),
             Self::NotFollowed => (
-                "too few features could be followed in their images (min_sights)",
-                "light the place, keep the lenses free, and look at things with texture",
+                "too few features could be tracked in their images (min_sights)",
+                "light the place, keep the lenses free, and look at objects with texture",
             ),
             Self::NotMeasured => (
                 "the IMU recorded nothing in between, so that they cannot be joined to the longest part of the walk (max_imu_gap_secs)",
-                "record the IMU without pauses",
+                "record the IMU without gaps",
             ),
         }
     }
@@ -256,7 +258,7 @@ impl CameraRefinement {
     /// What was found of one that is not as the rig file says: beyond so many standard deviations of that the motion is bent by it.
     pub(super) fn off(&self, bending_sigmas: f64) -> Finding {
         let what = format!(
-            "it is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length {:+.2} %, clock {:+.1} ms)",
+            "it is {:.1} standard deviations off the rig file (rotation {:.2}°, translation {:.1} mm, focal length {:+.2} %, clock {:+.1} ms)",
             self.largest_sigmas,
             norm(&self.turn_deg),
             norm(&self.shift_m) * 1e3,
@@ -270,7 +272,7 @@ impl CameraRefinement {
         Finding::new("camera-off", verdict, &self.camera, what)
             .value(self.largest_sigmas, "")
             .limit(Limit::AtMost(limit))
-            .remedy("calibrate it again")
+            .remedy("calibrate this camera again")
     }
 }
 
@@ -290,22 +292,20 @@ impl Together {
         let found = |verdict, what| Finding::new("together", verdict, "trajectory", what);
         if map_points + common_points == 0 {
             let what = format!(
-                "nothing that it saw was seen by {walks} too: it is as if it were solved by itself"
+                "it has nothing in common with {walks}: the result is the same as solving it alone"
             );
             return found(Verdict::Warn, what)
-                .remedy("solve walks together that come by the same places");
+                .remedy("solve walks together that pass the same places");
         }
         let limit = Limit::AtMost(CONTRADICTED_SIGMAS);
         let what = format!(
-            "{map_points} points of the map and {common_points} others that {walks} saw too moved poses by up to {:.1} mm",
+            "{map_points} map points and {common_points} others that {walks} also saw moved poses by up to {:.1} mm",
             moved_m * 1e3
         );
         found(Verdict::Warn.unless(limit.holds(*moved_sigmas)), what)
             .value(*moved_sigmas, "σ")
             .limit(limit)
-            .remedy(
-                "the walks contradict each other: solve each by itself, and see what is said of it",
-            )
+            .remedy("the walks contradict each other: solve each alone, and look at its findings")
     }
 }
 
@@ -322,13 +322,14 @@ impl GroundTruthReport {
         let coverage = format!("{} of {} frames have a pose", self.poses, self.frames);
         let largest_m = self.largest_disagreement_m;
         let agreement = format!(
-            "halves of the map's points move no position by more than {:.1} cm",
+            "halves of the map's points move positions by at most {:.1} cm",
             largest_m * 1e2
         );
         let absent = 100.0 * self.absent_share;
         let in_view = format!(
-            "{} points of the map that should be in view were looked for, and {absent:.1} % of what they say is that they are not there; a place \
-             that looks the same in all of them could not be told from this one",
+            "{} map points that should be in view were searched for, and {absent:.1} % of the \
+             evidence says that they are absent; a place that looks the same at all of them could \
+             not be distinguished from this one",
             self.points_in_view
         );
         let mut findings = vec![
@@ -346,7 +347,7 @@ impl GroundTruthReport {
                     Finding::new("points-in-view", verdict, "trajectory", in_view)
                         .value(absent, "%")
                         .limit(usual)
-                        .remedy("make sure that there is no other place like it, or map it as it is now")
+                        .remedy("make sure that no other place looks like it, or map it again")
                 }
             },
         ];

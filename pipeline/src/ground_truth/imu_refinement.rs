@@ -21,9 +21,9 @@ const LARGEST_GRAVITY_PERCENT: f64 = 1.0;
 const UNEXPLAINED_SIGMAS: f64 = 12.0;
 
 const CALIBRATE_IMU: &str =
-    "calibrate the IMU's scale and axes, and stamp both of its sensors by one clock";
-const CHECK_DEVICE: &str = "no IMU is so far off: check that each camera's images are its own, that images and samples are stamped by one clock, and the \
-     IMU's axes and units";
+    "calibrate the IMU's scale and axes, and stamp both of its sensors with one clock";
+const CHECK_DEVICE: &str = "such IMU errors are implausible: check that each camera's images are its \
+     own, that images and samples are stamped with one clock, and the IMU's axes and units";
 
 /// Errors of an IMU that stay the same all along; the trajectory is computed without them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,8 +101,8 @@ impl ImuRefinement {
             )
         };
         let what = format!(
-            "the gyroscope's bias changes by {:.3} °/s {}, the accelerometer's by {:.3} m/s² {}: {:.1} and {:.1} standard deviations of what their \
-             noise allows",
+            "the gyroscope bias changes by {:.3} °/s {}, the accelerometer bias by {:.3} m/s² {}: \
+             {:.1} and {:.1} standard deviations of what their noise allows",
             gyro.change.to_degrees().abs(),
             at(&gyro),
             accel.change.abs(),
@@ -115,31 +115,31 @@ impl ImuRefinement {
         Finding::new("imu-wander", Verdict::Warn.unless(limit.holds(largest)), "IMU", what)
             .value(largest, "")
             .limit(limit)
-            .remedy("let the device warm up and do not knock it; or state in the rig file how much its biases wander")
+            .remedy("let the device warm up and avoid shocks; or increase the bias random walk in the rig file")
     }
 
     /// What swings in samples and not in images.
     fn of_swing(&self) -> Finding {
         let Some(swing) = self.imu_swing else {
-            let what = "the walk is too short, or its frames come too irregularly, to look by frequency for what images contradict";
+            let what = "the walk is too short, or its frames too irregular, for a spectrum of the differences between images and IMU";
             return Finding::new("imu-swing", Verdict::Unknown, "IMU", what);
         };
         let limit = Limit::AtMost(LARGEST_SWING);
         let verdict = Verdict::Warn.unless(limit.holds(swing.times_usual));
         let does = match swing.what {
             Swinging::Forces { m_s2, path_m } => format!(
-                "forces that swing by {m_s2:.2} m/s², and positions by {:.2} mm with them",
+                "specific force oscillating by {m_s2:.2} m/s², and position by {:.2} mm",
                 1e3 * path_m
             ),
             Swinging::Rates { rad_s, path_rad } => format!(
-                "rates that swing by {:.2} °/s, and attitudes by {:.3}° with them",
+                "angular rate oscillating by {:.2} °/s, and attitude by {:.3}°",
                 rad_s.to_degrees(),
                 path_rad.to_degrees()
             ),
         };
         let what = format!(
-            "images contradict the IMU most at {:.1} Hz, {:.0} times as much as at frequencies near it: {does}; positions that swing by less than \
-             {:.2} mm would not be noticed",
+            "images and IMU differ most at {:.1} Hz, {:.0} times as much as at neighbouring \
+             frequencies: {does}; position oscillations below {:.2} mm would not be noticed",
             swing.hz,
             swing.times_usual,
             1e3 * swing.noticed_from_m
@@ -147,21 +147,21 @@ impl ImuRefinement {
         Finding::new("imu-swing", verdict, "IMU", what)
             .value(swing.times_usual, "")
             .limit(limit)
-            .remedy("mount the IMU firmly on what carries the cameras, and let it filter vibration off before it samples")
+            .remedy("mount the IMU rigidly to the cameras, and enable its anti-aliasing filter against vibration")
     }
 
     fn of_what_is_left(&self) -> Finding {
         let limit = Limit::AtMost(1.0);
         let what = format!(
-            "images and IMU differ by {:.1} standard deviations of its noise (rms): where that is more than 1, covariances are computed with so \
-             many times the noise",
+            "images and IMU differ by {:.1} standard deviations of its noise (rms); above 1, \
+             covariances are computed with the noise increased by that factor",
             self.imu_left_sigmas
         );
         let verdict = Verdict::Warn.unless(limit.holds(self.imu_left_sigmas));
         Finding::new("imu-agreement", verdict, "IMU", what)
             .value(self.imu_left_sigmas, "")
             .limit(limit)
-            .remedy("check the IMU's noise in the rig file, its axes, its range and its stamps; with a map, the scale of that too")
+            .remedy("check the IMU's noise in the rig file, its axes, its range and its stamps; with a map, also the map's scale")
     }
 
     /// Nowhere on Earth is gravity more than 0.03 m/s² from the standard: what is more is the accelerometer's scale, by which the path were too
@@ -171,22 +171,22 @@ impl ImuRefinement {
         let share = 100.0 * (self.gravity_m_s2 / standard - 1.0);
         let limit = Limit::AtMost(LARGEST_GRAVITY_PERCENT);
         let what = format!(
-            "the accelerometer feels a gravity of {:.3} m/s², {share:+.1} % from what it is on Earth",
+            "the accelerometer measures a gravity of {:.3} m/s², {share:+.1} % off the standard value on Earth",
             self.gravity_m_s2
         );
         let verdict = Verdict::Warn.unless(limit.holds(share.abs()));
         Finding::new("gravity", verdict, "IMU", what)
             .value(share.abs(), "%")
             .limit(limit)
-            .remedy("of that much only most can be taken off the path: calibrate the accelerometer's scale")
+            .remedy("only most of this error can be removed from the trajectory: calibrate the accelerometer's scale")
     }
 
     /// Beyond what calibrated parts have, the IMU is not what its recording says.
     fn of_errors(&self) -> Finding {
         let percent = |axes: &[f64; 3]| axes.map(|share| format!("{:+.1}", 1e2 * share)).join(", ");
         let what = format!(
-            "scale of the gyroscope {} %, of the accelerometer {} %, shear {} and {} %, the latter turned by {:.2}° and {:+.1} ms late: the \
-             motion is computed without these",
+            "scale of the gyroscope {} %, of the accelerometer {} %, shear {} and {} %, the latter \
+             rotated by {:.2}° and delayed by {:+.1} ms: the motion is computed with these corrected",
             percent(&self.gyro_scale),
             percent(&self.accel_scale),
             percent(&self.gyro_shear),

@@ -69,17 +69,19 @@ impl MapAgreement {
         let Some(scale) = self.scale.filter(|s| s.sigma_percent <= KNOWN_PERCENT) else {
             let what = match self.scale {
                 Some(s) => format!(
-                    "the IMU tells the map's scale to {:.1} % only: errors of some percent would not be noticed",
+                    "the IMU determines the map's scale only to {:.1} %: an error of some percent would not be noticed",
                     s.sigma_percent
                 ),
-                None => "the walk is too still for its IMU to tell the map's scale".to_owned(),
+                None => {
+                    "there is too little motion for the IMU to determine the map's scale".to_owned()
+                }
             };
             return Finding::new("map-scale", Verdict::Unknown, "map", what);
         };
         let sigmas = scale.too_large_percent.abs() / scale.sigma_percent;
         let what = format!(
-            "lengths in the map are {:+.1} ± {:.1} % from what the IMU makes of them: where that is more than chance, the map's scale is wrong, \
-             and so are lengths of the trajectory, or the accelerometer's is",
+            "lengths in the map differ by {:+.1} ± {:.1} % from the IMU's; if that is significant, \
+             the scale of the map (and of the trajectory) or of the accelerometer is wrong",
             scale.too_large_percent, scale.sigma_percent
         );
         let verdict = match sigmas <= UNLIKELY_SIGMAS {
@@ -91,20 +93,20 @@ impl MapAgreement {
             .value(sigmas, "")
             .limit(Limit::AtMost(UNLIKELY_SIGMAS))
             .remedy(
-                "measure a length of the place and compare it with the map; calibrate the accelerometer",
+                "measure a distance in the place and compare it with the map; calibrate the accelerometer",
             )
     }
 
     fn of_lean(&self) -> Finding {
         let what = format!(
-            "gravity is {:.2}° from the map's vertical by the accelerometer",
+            "gravity is {:.2}° off the map's vertical according to the accelerometer",
             self.lean_deg
         );
         let verdict = Verdict::Warn.unless(self.lean_sigmas <= UNLIKELY_SIGMAS);
         Finding::new("map-level", verdict, "map", what)
             .value(self.lean_sigmas, "")
             .limit(Limit::AtMost(UNLIKELY_SIGMAS))
-            .remedy("level the map: what is computed from its vertical is off by as much")
+            .remedy("level the map: everything computed from its vertical is off by as much")
     }
 }
 

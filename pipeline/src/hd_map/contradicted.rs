@@ -40,13 +40,13 @@ pub(super) fn contradicted(
         .fold([0, 0], |sum, pair| [sum[0] + pair.0, sum[1] + pair.1]);
     if all >= LEAST_MATCHES && is_wrong((all, right)) {
         return Some(format!(
-            "of {all} matches between images that should see the same only {right} lie where their poses have them: the poses are not those of these images"
+            "of {all} matches between overlapping images only {right} agree with their poses: these poses do not belong to these images"
         ));
     }
     let share = f64::from(wrong) / f64::from(told.max(1));
     (share > MOST_WRONG_PAIRS).then(|| {
         format!(
-            "of {told} pairs of images that should see the same {wrong} have most of their matches where their poses do not have them: some poses are not those of their images"
+            "in {wrong} of {told} pairs of overlapping images most matches contradict the poses: some poses do not belong to their images"
         )
     })
 }

@@ -240,7 +240,7 @@ impl HdMap {
             tables.push(open_table(folder, &header, name)?);
         }
         let [points, keyframes, observations, descriptors] = &tables[..] else {
-            return Err(broken(&folder.join(HEADER), "not all tables are there"));
+            return Err(broken(&folder.join(HEADER), "some tables are missing"));
         };
         let [
             x_m,
@@ -278,13 +278,17 @@ impl HdMap {
                 first_observation: points.u32(first_observation)?,
                 first_descriptor: points.u32(first_descriptor)?,
             },
-            quality: QualityColumns::from_columns(quality_columns)
-                .ok_or_else(|| broken(&points.path, "a point's quality has eleven columns"))?,
+            quality: QualityColumns::from_columns(quality_columns).ok_or_else(|| {
+                broken(
+                    &points.path,
+                    "expected eleven columns for the quality of a point",
+                )
+            })?,
             keyframes: KeyframeColumns {
                 time_ns,
                 pose: pose_columns
                     .try_into()
-                    .map_err(|_| broken(&keyframes.path, "a pose has seven columns"))?,
+                    .map_err(|_| broken(&keyframes.path, "expected seven columns for a pose"))?,
                 covariance,
             },
             observations: ObservationColumns {
@@ -346,7 +350,7 @@ impl HdMap {
         if counts_agree.contains(&false) {
             return Err(broken(
                 &folder.join(HEADER),
-                "its counts are not those of the tables",
+                "its counts do not match the tables",
             ));
         }
         let is_pose = |pose: StampedPose| {
@@ -355,15 +359,18 @@ impl HdMap {
             is_turn && world_from_rig.translation.iter().all(|m| m.is_finite())
         };
         if !self.keyframes().all(is_pose) {
-            return Err(broken(&folder.join(TABLES[1]), "a pose is none"));
+            return Err(broken(&folder.join(TABLES[1]), "a pose is invalid"));
         }
         let p = &self.points;
         let mut metres = p.x_m.iter().chain(p.y_m.iter()).chain(p.z_m.iter());
         if !metres.all(|m| m.is_finite()) {
-            return Err(broken(&folder.join(TABLES[0]), "a position is none"));
+            return Err(broken(&folder.join(TABLES[0]), "a position is invalid"));
         }
         match checks.iter().find(|(_, sound)| !sound) {
-            Some((name, _)) => Err(broken(&folder.join(name), "a row points to nothing")),
+            Some((name, _)) => Err(broken(
+                &folder.join(name),
+                "a row has an index out of range",
+            )),
             None => Ok(()),
         }
     }
@@ -376,7 +383,7 @@ fn covariances(keyframes: &Table) -> Result<CovarianceColumns, Error> {
         .map(|column| keyframes.f64(column))
         .collect::<Result<_, _>>()?;
     CovarianceColumns::from_columns(columns)
-        .ok_or_else(|| broken(&keyframes.path, "a covariance has 21 columns"))
+        .ok_or_else(|| broken(&keyframes.path, "expected 21 columns for a covariance"))
 }
 
 /// Names of the descriptors' columns: a reader of one feature finds no other.
@@ -411,7 +418,7 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
 
 fn open_rig(folder: &Path, header: &Header, name: &str) -> Result<Rig, Error> {
     let Table { path, bytes } = open_table(folder, header, name)?;
-    let text = std::str::from_utf8(&bytes).map_err(|_| broken(&path, "it is no text"))?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| broken(&path, "it is not text"))?;
     Rig::from_toml(text, &path.display().to_string()).map_err(|e| broken(&path, &e.to_string()))
 }
 

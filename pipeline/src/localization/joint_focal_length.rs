@@ -120,8 +120,9 @@ impl fmt::Display for JointFocalLength {
         let (scale, images) = (self.log_scale.exp(), self.images);
         write!(
             f,
-            "the matches of {images} images of the camera fit {scale:.3} ± {:.3} times its focal length: they were resized or cropped, \
-             or another lens took them; give the intrinsics that belong to them",
+            "the matches of {images} images of the camera fit {scale:.3} ± {:.3} times its focal \
+             length: the images were resized or cropped, or taken with another lens; give the \
+             intrinsics that belong to them",
             scale * self.log_sigma,
         )
     }

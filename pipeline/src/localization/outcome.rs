@@ -123,7 +123,7 @@ impl fmt::Display for NotLocalized {
             NotLocalizedReason::UnknownCamera { camera } => {
                 write!(
                     f,
-                    "camera {camera} is not on the rig: give the rig of these images"
+                    "the rig has no camera {camera}: give the rig of these images"
                 )
             }
             NotLocalizedReason::PrincipalPointOffCentre {
@@ -141,8 +141,8 @@ impl fmt::Display for NotLocalized {
                 found_px: [found_width, found_height],
             } => write!(
                 f,
-                "the image has {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the \
-                 intrinsics for images of this size, or the images as the camera took them"
+                "the image has {found_width} × {found_height} px, but camera {camera} has {width} × \
+                 {height}: give the intrinsics for images of this size, or the original images"
             ),
             NotLocalizedReason::Unreadable { message } => f.write_str(message),
             NotLocalizedReason::NoPlace { votes } => write!(
@@ -158,23 +158,24 @@ impl fmt::Display for NotLocalized {
             } => write!(f, "{joint}"),
             NotLocalizedReason::FocalLength { best, .. } => write!(
                 f,
-                "the matches fit {:.2} ± {:.2} times the camera's focal length: the image was resized or cropped, or another lens \
-                 took it; give the intrinsics that belong to it",
+                "the matches fit {:.2} ± {:.2} times the camera's focal length: the image was \
+                 resized or cropped, or taken with another lens; give the intrinsics that belong to \
+                 it",
                 best.evidence.focal_scale,
                 best.evidence.focal_scale * best.evidence.focal_log_sigma,
             ),
             NotLocalizedReason::Improbable { best, .. } if best.evidence.is_doubtful_by_twin() => {
                 write!(
                     f,
-                    "the best pose has {} inliers, another {} elsewhere: the map has places that look alike, and this view does not tell them apart",
+                    "the best pose has {} inliers, but another has {} elsewhere: the map has places that look alike, and this view does not distinguish them",
                     best.matches.len(),
                     best.evidence.twin_inliers
                 )
             }
             NotLocalizedReason::Improbable { best, needed } => write!(
                 f,
-                "the best pose, of {} inliers, is right with a probability of {:.3} only, {needed} is needed: the view \
-                 may be outside the map",
+                "the best pose, with {} inliers, is right with a probability of only {:.3}; {needed} \
+                 is needed: the view may be outside the map",
                 best.matches.len(),
                 best.probability
             ),
@@ -184,12 +185,12 @@ impl fmt::Display for NotLocalized {
                 ..
             } => write!(
                 f,
-                "the poses of the seconds around it contradict it: of them {contradicting} can be walked through without it, {agreeing} with it; \
-                 the place may look like another"
+                "it contradicts the poses of the seconds around it: {contradicting} of them form a \
+                 possible walk without it, {agreeing} with it; the place may look like another"
             ),
             NotLocalizedReason::HardlyRecognised { share, .. } => write!(
                 f,
-                "of the instants within ten seconds only {:.0} % are recognised: those may all be at another place that looks alike",
+                "only {:.0} % of the frames within ten seconds are recognised: they may all be at another place that looks alike",
                 100.0 * share
             ),
         }

@@ -71,7 +71,7 @@ pub fn close_loops(
     let sigmas = of_odometry.fold(closing.worst_sigmas, f64::max);
     if sigmas * sigmas > CHI_SQUARED {
         let warnings = &mut result.report.warnings;
-        warnings.push(OdometryWarning::LoopMisfit { sigmas });
+        warnings.push(OdometryWarning::LoopDisagrees { sigmas });
     }
     Ok(closing)
 }
@@ -96,7 +96,7 @@ fn accepted_of(loops: &Loops, keyframes: &[Keyframe]) -> Result<Vec<Measured>, E
 }
 
 /// Of the loops that are accepted those that do not fit the rest are rejected.
-pub(super) fn reject_misfits(
+pub(super) fn reject_disagreeing(
     loops: &mut Loops,
     keyframes: &[Keyframe],
     progress: ProgressFn<'_>,

@@ -94,14 +94,14 @@ fn parse(line: &str, walk: &OdometryResult) -> Result<Loop, String> {
     let count = words.len();
     let words: [&str; COLUMNS] = words
         .try_into()
-        .map_err(|_| format!("{count} columns, {COLUMNS} are expected"))?;
+        .map_err(|_| format!("{count} columns, but expected {COLUMNS}"))?;
     let [verdict, earlier, later, .., reason] = words;
     let number = |k: usize| -> Result<Option<f64>, String> {
         match words[k] {
             "-" => Ok(None),
             word => match word.parse::<f64>() {
                 Ok(value) if value.is_finite() => Ok(Some(value)),
-                _ => Err(format!("{word:?} is no number")),
+                _ => Err(format!("{word:?} is not a number")),
             },
         }
     };
@@ -143,7 +143,7 @@ fn scan_at(word: &str, walk: &OdometryResult) -> Result<Timestamp, String> {
     let times = walk.scan_poses.iter().map(|s| s.pose.time);
     let mut same = times.filter(|time| time.to_string() == word);
     same.next().ok_or_else(|| {
-        format!("no scan of this walk has a pose at {word} s: is the file of another walk, or made with other settings?")
+        format!("no scan of this walk has a pose at {word} s: was the file made from another walk, or with other settings?")
     })
 }
 
@@ -174,7 +174,9 @@ fn measured(numbers: &[Result<Option<f64>, String>; 9]) -> Result<Option<Measure
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     let norm = quaternion.norm();
     if absent > 0 || !(norm > 0.5 && norm < 2.0) {
-        return Err("its pose is not whole: three coordinates and a unit quaternion".to_owned());
+        return Err(
+            "its pose is invalid: expected three coordinates and a unit quaternion".to_owned(),
+        );
     }
     if !(rotation_sigma_rad > 0.0 && translation_sigma_m > 0.0) {
         return Err("its standard deviations must be more than 0".to_owned());

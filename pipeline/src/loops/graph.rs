@@ -42,12 +42,7 @@ pub(crate) fn fitting(
         max_iterations: GRADUATED_ITERATIONS,
         ..SolveConfig::default()
     };
-    solve_or_stop(
-        "loops told from false ones",
-        &mut problem,
-        &config,
-        progress,
-    )?;
+    solve_or_stop("rejecting false loops", &mut problem, &config, progress)?;
     let fits = |l: &Measured| {
         let (a, b) = (
             problem.value(poses[l.earlier]),

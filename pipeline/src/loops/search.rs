@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::agreement::agree;
 use super::assessment::Scans;
-use super::closing::reject_misfits;
+use super::closing::reject_disagreeing;
 use super::descriptor::Descriptor;
 use super::keyframes::{self, Keyframe};
 use super::ways::Ways;
@@ -75,7 +75,7 @@ pub fn find_loops(
         search.look_from(later);
     }
     let mut found = search.finish();
-    reject_misfits(&mut found, &keyframes, progress)?;
+    reject_disagreeing(&mut found, &keyframes, progress)?;
     Ok(found)
 }
 

@@ -67,7 +67,7 @@ impl CameraError {
             ),
             self.finding(
                 "camera-focal-length",
-                "its focal length off by",
+                "its focal length is off by",
                 1e2 * self.focal_share.abs(),
                 1e2 * self.focal_sigma,
                 FOCAL_LIMITS.map(|share| 1e2 * share),
@@ -75,7 +75,7 @@ impl CameraError {
             ),
             self.finding(
                 "camera-clock",
-                "its clock off by",
+                "its clock is off by",
                 1e3 * self.clock_s.abs(),
                 1e3 * self.clock_sigma_s,
                 CLOCK_LIMITS_S.map(|s| 1e3 * s),
@@ -98,13 +98,13 @@ impl CameraError {
     /// That Eq. (4) was solved with the camera as found.
     pub(super) fn refined_finding(&self) -> Finding {
         let what = format!(
-            "taken as the map's images show it, not as the rig file says: turned by {:.2}°, shifted by {:.2} cm, focal length {:+.2} %",
+            "the estimate from the map's images is used, not the rig file: rotated by {:.2}°, shifted by {:.2} cm, focal length {:+.2} %",
             self.turn_deg,
             1e2 * self.shift_m,
             1e2 * self.focal_share
         );
         Finding::new("camera-refined", Verdict::Warn, &self.camera, what).remedy(
-            "calibrate the rig; refine_cameras = false in --config takes it as the rig file says",
+            "calibrate the rig; with refine_cameras = false in --config the rig file is used",
         )
     }
 
@@ -119,16 +119,16 @@ impl CameraError {
             _ => Verdict::Pass,
         };
         let what = format!(
-            "{} of its {} keypoints that match in two other images show a point of the map",
+            "{} of its {} keypoints with matches in two other images show a map point",
             self.observations, self.tracked
         );
         let finding = Finding::new("camera-points", verdict, &self.camera, what)
-            .remedy("it does not look where the rig file says: check which camera is which, and calibrate the rig");
+            .remedy("it does not point where the rig file says: check which camera is which, and calibrate the rig");
         match self.tracked < FEWEST_TRACKED {
             true => finding
                 .value(self.tracked as f64, "keypoints")
                 .limit(Limit::AtLeast(FEWEST_TRACKED as f64))
-                .remedy("whether it looks where the rig file says is not known: map for longer, and check the rig file"),
+                .remedy("whether it points where the rig file says is unknown: map for longer, and check the rig file"),
             false => finding.value(1e2 * share, "%").limit(Limit::AtLeast(1e2 * warn)),
         }
     }
@@ -159,13 +159,13 @@ impl CameraError {
         };
         let space = if unit == "°" { "" } else { " " };
         let what = format!(
-            "{what} {value:.2}{space}{unit} ± {sigma:.2}{space}{unit}{or_more} against the rig file, as the map's images show it"
+            "{what} {value:.2}{space}{unit} ± {sigma:.2}{space}{unit}{or_more} relative to the rig file, according to the map's images"
         );
         Finding::new(code, verdict, &self.camera, what)
             .value(value, unit)
             .sigma(sigma)
             .limit(Limit::AtMost(warn))
-            .remedy("points that it sees are mapped in the wrong place: calibrate the rig and map again")
+            .remedy("the points that it sees are mapped in the wrong place: calibrate the rig and map again")
     }
 }
 

@@ -166,7 +166,7 @@ pub fn build_map_in_stages(
     if let (Start::Given(_), Some(imu)) = (&start, &imu) {
         // Of its own start the odometry has said so.
         let damaged = (imu.damaged > 0).then(|| MappingWarning::Damaged {
-            what: format!("{} inertial samples could not be read", imu.damaged),
+            what: format!("{} IMU samples could not be read", imu.damaged),
         });
         report.warnings.extend(damaged);
     }

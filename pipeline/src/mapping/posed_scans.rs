@@ -118,21 +118,22 @@ impl ScanPoseReport {
             if fits { Verdict::Pass } else { Verdict::Fail },
             "scans",
             format!(
-                "scan {} (from 0) shares at most {:.0} % of planes with any that the first is joined to",
+                "scan {} (from 0) shares at most {:.0} % of its planes with any scan connected to the first one",
                 self.least_matched_scan,
                 1e2 * self.least_matched
             ),
         )
         .value(1e2 * self.least_matched, "%")
         .limit(Limit::AtLeast(1e2 * LEAST_MATCHED))
-        .remedy("start from better poses, or leave that scan out");
+        .remedy("start from better poses, or leave out that scan");
         let rests = Finding::new(
             "not-at-rest",
             Verdict::Warn.unless(self.rests),
             "poses",
             match self.rests {
-                true => "poses and correspondences have come to rest".to_owned(),
-                false => "poses and correspondences still changed one another when the last round was done".to_owned(),
+                true => "poses and correspondences converged".to_owned(),
+                false => "poses and correspondences did not converge within the allowed iterations"
+                    .to_owned(),
             },
         )
         .remedy("start from better poses");
@@ -141,13 +142,13 @@ impl ScanPoseReport {
             Verdict::Warn.unless(self.sigmas <= MOST_SIGMAS),
             "poses",
             format!(
-                "the motion from scan to scan differs from what was given by up to {:.1} of its standard deviations",
+                "the motion between scans differs from the given one by up to {:.1} standard deviations",
                 self.sigmas
             ),
         )
         .value(self.sigmas, "σ")
         .limit(Limit::AtMost(MOST_SIGMAS))
-        .remedy("look whether the scans fit, and state how well the motion is known (translation_sigma_m, rotation_sigma_deg)");
+        .remedy("check that the scans fit, and set how well the motion is known (translation_sigma_m, rotation_sigma_deg)");
         vec![matched, rests, far]
     }
 }

@@ -90,7 +90,7 @@ impl MappingReport {
         let of_cameras = refined.chain(self.cameras.iter().flat_map(CameraError::findings));
         let of_scans = self.agreement.iter().map(|agreement| {
             agreement.finding().remedy(
-                "a part of the map is bent, or much of what the LiDAR saw has moved: look at the trajectory, walk loops, and start where little moves",
+                "part of the map is bent, or much of what the LiDAR saw has moved: check the trajectory, walk loops, and start where little moves",
             )
         });
         of_odometry
@@ -281,7 +281,7 @@ impl MappingWarning {
         };
         match self {
             Self::CameraMissing { camera, reason } => {
-                warn("camera-missing", camera, format!("the map is made without it: {reason}"))
+                warn("camera-missing", camera, format!("the map is made without the IMU: {reason}"))
             }
             Self::FewFeatures {
                 camera,
@@ -290,7 +290,7 @@ impl MappingWarning {
             } => warn(
                 "few-features",
                 camera,
-                format!("it shows {features} features in {images} images"),
+                format!("only {features} features in {images} images"),
             )
             .remedy("check focus, exposure and lens cap"),
             Self::FeaturelessImages {
@@ -300,7 +300,7 @@ impl MappingWarning {
             } => warn(
                 "featureless-images",
                 camera,
-                format!("{featureless} of its {images} images show hardly a feature"),
+                format!("{featureless} of its {images} images have hardly any features"),
             )
             .value(1e2 * *featureless as f64 / (*images).max(1) as f64, "%")
             .limit(Limit::AtMost(1e2 * FEATURELESS_SHARE))
@@ -324,41 +324,41 @@ impl MappingWarning {
             Self::PosesUndetermined { reason } => warn(
                 "poses-undetermined",
                 "",
-                format!("images and scans do not determine all keyframes, so that nothing is said of how well their poses are known ({reason})"),
+                format!("images and scans do not determine all keyframes, so that the accuracy of their poses is unknown ({reason})"),
             )
             .remedy("map where the LiDAR sees walls on several sides, or with more images"),
             Self::CamerasUndetermined { reason } => warn(
                 "cameras-undetermined",
                 "",
-                format!("images and scans do not tell whether the cameras are as the rig file has them, so that nothing is said of that ({reason})"),
+                format!("images and scans do not determine the camera errors, so that the rig file is not checked ({reason})"),
             )
-            .remedy("map where there is more to be seen, or check the rig file with `lsfb calib verify`"),
+            .remedy("map where more can be seen, or check the rig file with `lsfb calib verify`"),
             Self::ScanGap { after_secs, secs } => warn(
                 "scan-gap",
                 "LiDAR",
-                format!("for {secs:.1} s, {after_secs:.1} s after the first scan, there is none: the poses there are those of IMU and images, and may be off by centimetres"),
+                format!("no scans for {secs:.1} s, {after_secs:.1} s after the first scan: the poses there come from IMU and images, and may be off by centimetres"),
             )
             .value(*secs, "s")
             .remedy("check the LiDAR's cable and network (`lsfb doctor`), and scan that part again"),
             Self::StartPartial { missing, scans } => warn(
                 "start-partial",
                 "trajectory",
-                format!("{missing} of {scans} scans are not within the trajectory that was given to start from: what they saw is not in the map"),
+                format!("{missing} of {scans} scans are outside the initial trajectory: what they saw is not in the map"),
             )
             .remedy("give the whole trajectory of this recording"),
             Self::StartHole { after_secs, secs } => warn(
                 "start-hole",
                 "trajectory",
-                format!("the trajectory that was given to start from has no pose for {secs:.1} s, {after_secs:.1} s after its first: what was seen there is not in the map"),
+                format!("the initial trajectory has no pose for {secs:.1} s, {after_secs:.1} s after its first: what was seen there is not in the map"),
             )
             .value(*secs, "s")
-            .remedy("see why the program that made it lost its way there, and scan that part again"),
+            .remedy("find out why the program that made it lost track there, and scan that part again"),
             Self::CloudsPartial { missing, scans } => warn(
                 "clouds-partial",
                 "clouds",
                 format!("{missing} of {scans} scans are not among the stored clouds: what they saw is not in the map"),
             )
-            .remedy("scans that the odometry loses are not stored: see its report"),
+            .remedy("the odometry does not store scans that it loses: see its report"),
             Self::NotAtRest {
                 rounds,
                 moved_m,
@@ -366,21 +366,21 @@ impl MappingWarning {
             } => warn(
                 "not-at-rest",
                 "poses",
-                format!("after {rounds} rounds keyframes still moved by {:.1} mm and {turned_deg:.2}°", 1e3 * moved_m),
+                format!("not converged after {rounds} iterations: the last one moved keyframes by {:.1} mm and {turned_deg:.2}°", 1e3 * moved_m),
             )
             .value(1e3 * *moved_m, "mm")
-            .remedy("start from a better trajectory, or allow more rounds (outer_iterations)"),
+            .remedy("start from a better trajectory, or allow more iterations (outer_iterations)"),
             Self::ManyOutliers { share, max_px } => warn(
                 "many-outliers",
                 "",
                 format!(
-                    "{:.0} % of the observations are more than {max_px} px from where their point is seen",
+                    "{:.0} % of the observations have a reprojection error above {max_px} px",
                     100.0 * share
                 ),
             )
             .value(100.0 * share, "%")
             .limit(Limit::AtMost(100.0 * USUAL_OUTLIER_SHARE))
-            .remedy("check the calibration of the cameras, their place on the rig, and their clocks against the LiDAR's"),
+            .remedy("check the calibration of the cameras, their poses in the rig, and their clocks relative to the LiDAR's"),
         }
     }
 }
@@ -392,7 +392,7 @@ mod tests {
     #[test]
     fn a_map_of_a_damaged_recording_has_not_all_data() {
         assert!(MappingReport::default().is_whole());
-        let what = "chunk does not unpack".to_owned();
+        let what = "chunk cannot be decompressed".to_owned();
         let images = MappingReport {
             warnings: vec![MappingWarning::Damaged { what }],
             ..MappingReport::default()

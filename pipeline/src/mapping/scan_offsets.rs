@@ -232,7 +232,7 @@ impl ScanOffsets {
             _ => Verdict::Pass,
         };
         let what = format!(
-            "{:.1} s after the first scan, scans lie {:.1} cm from where surfaces of other keyframes have them (turned by {:.2}°, shifted by {:.1} cm; {:.1} cm in the middle of {} scans, {:.1} cm by all keyframes next to some)",
+            "{:.1} s after the first scan, scans are {:.1} cm off the surfaces of other keyframes (rotated by {:.2}°, shifted by {:.1} cm; {:.1} cm median over {} scans, {:.1} cm where all neighbouring keyframes agree)",
             self.worst_after_secs,
             1e2 * self.worst_m,
             self.turn_deg,
@@ -244,13 +244,13 @@ impl ScanOffsets {
         let off = Finding::new("scans-off", verdict, "trajectory", what)
             .value(1e2 * self.worst_m, "cm")
             .limit(Limit::AtMost(1e2 * warn))
-            .remedy("the map or its trajectory is bent there: start from a better trajectory, give images without pauses, and walk that part again");
+            .remedy("the map or its trajectory is bent there: start from a better trajectory, give images without gaps, and walk that part again");
         let is_seen = self.scans > 0 && self.unseen_secs <= 0.0;
         let what = match (is_seen, self.scans) {
-            (true, _) => "all along the walk scans share enough with keyframes before and behind them".to_owned(),
-            (false, 0) => "no scan shares enough with keyframes that it has no part in: whether the map is bent cannot be told".to_owned(),
+            (true, _) => "throughout the walk, scans overlap enough with the keyframes before and after them".to_owned(),
+            (false, 0) => "no scan overlaps enough with keyframes made from other scans: whether the map is bent is unknown".to_owned(),
             (false, _) => format!(
-                "for {:.1} s in all, the longest time {:.1} s after the first scan, too few scans share enough with keyframes before and behind them: whether the map is bent or has a step there cannot be told",
+                "for {:.1} s in total, longest {:.1} s after the first scan, too few scans overlap enough with the keyframes before and after them: whether the map is bent or has a step there is unknown",
                 self.unseen_secs, self.unseen_after_secs
             ),
         };
@@ -266,14 +266,14 @@ impl ScanOffsets {
                 _ => Verdict::Pass,
             };
             let what = format!(
-                "{:.1} s after the first scan, scans lie {:.1} cm from where surfaces of other visits to the same place have them",
+                "{:.1} s after the first scan, scans are {:.1} cm off the surfaces of other visits to the same place",
                 self.visits_after_secs,
                 1e2 * apart_m
             );
             Finding::new("visits-apart", verdict, "trajectory", what)
                 .value(1e2 * apart_m, "cm")
                 .limit(Limit::AtMost(1e2 * warn))
-                .remedy("the way back does not meet the way there: close loops (close_loops = true), or start from a better trajectory")
+                .remedy("the visits do not match: close loops (close_loops = true), or start from a better trajectory")
         });
         let off = Some(off).filter(|_| self.scans > 0);
         [off, Some(unseen), visits].into_iter().flatten().collect()

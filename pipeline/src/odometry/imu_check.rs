@@ -40,7 +40,7 @@ pub(crate) fn mend_units(samples: &mut [Stamped<ImuSample>]) -> ImuUnits {
     if let Some(rate) = rate.filter(|rate| **rate > MAX_RATE_RAD_S) {
         return ImuUnits::Wrong {
             problem: format!(
-                "it would turn at {rate:.0} rad/s: is its gyroscope in degrees per second?"
+                "it would rotate at {rate:.0} rad/s: is its gyroscope in degrees per second?"
             ),
         };
     }
@@ -55,7 +55,7 @@ pub(crate) fn mend_units(samples: &mut [Stamped<ImuSample>]) -> ImuUnits {
     } else {
         ImuUnits::Wrong {
             problem: format!(
-                "its accelerometer feels {mean:.2} on average, where gravity is 9.81 m/s² (or 1 in units of it): is gravity taken out?"
+                "its accelerometer measures {mean:.2} on average, where gravity is 9.81 m/s² (or 1 in units of g): was gravity subtracted?"
             ),
         }
     }
@@ -94,9 +94,9 @@ mod tests {
     #[test]
     fn what_no_imu_measures_is_named() {
         for (force, rate, words) in [
-            (0.1, 0.1, "is gravity taken out?"),
-            (981.0, 0.1, "feels 981"),
-            (f64::NAN, 0.1, "feels NaN"),
+            (0.1, 0.1, "was gravity subtracted?"),
+            (981.0, 0.1, "measures 981"),
+            (f64::NAN, 0.1, "measures NaN"),
             (9.8, 57.0, "degrees per second"),
         ] {
             let ImuUnits::Wrong { problem } = mend_units(&mut samples(force, rate)) else {

@@ -75,14 +75,14 @@ impl RangeReport {
             () if *usual_m > FAR_BEYOND * high_m => {
                 "are their coordinates in centimetres or millimetres? They must be in metres"
             }
-            () if *usual_m > high_m => "outdoors use --outdoor, or set max_range_m",
+            () if *usual_m > high_m => "use --outdoor outdoors, or set max_range_m",
             () if *usual_m < low_m => {
                 "are their coordinates in kilometres, or is the sensor covered? They must be in metres"
             }
-            () => "nothing is seen between",
+            () => "there are no points in that range",
         };
         format!(
-            "{scans} of {of} scans have hardly a point between {low_m} and {high_m} m, where points are used; their usual range would be {usual_m:.3} m: {why}"
+            "{scans} of {of} scans have hardly any points between {low_m} and {high_m} m, where points are used; their typical range is {usual_m:.3} m: {why}"
         )
     }
 }

@@ -115,7 +115,7 @@ impl std::fmt::Display for UnseenStretch {
         };
         write!(
             f,
-            "from {:.1} to {:.1} s, {} scans do not see the motion {word} ({x:.2}, {y:.2}, {z:.2}): the pose is then uncertain by {sigma} {word} it (one standard deviation)",
+            "from {:.1} to {:.1} s, {} scans do not constrain the motion {word} ({x:.2}, {y:.2}, {z:.2}): the pose is then uncertain by {sigma} {word} it (one standard deviation)",
             self.from_s, self.to_s, self.scans
         )
     }

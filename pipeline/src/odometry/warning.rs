@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::unseen::UnseenStretch;
 
 /// A loop that contradicts the odometry by more is none: twice what no loop is accepted beyond without a person's word, in standard deviations.
-const MOST_MISFIT_SIGMAS: f64 = 10.0;
+const MOST_LOOP_SIGMAS: f64 = 10.0;
 
 /// Where a pose may be farther off than this in one direction, its place is not found, metres.
 pub(super) const MAX_SIGMA_M: f64 = 1.0;
@@ -55,7 +55,7 @@ pub enum OdometryWarning {
         to_s: f64,
     },
     /// Loops were closed that contradict one another, or the odometry.
-    LoopMisfit {
+    LoopDisagrees {
         /// How far the worst of them is from where the odometry had it, or still from what was measured, in standard deviations (a norm over six numbers).
         sigmas: f64,
     },
@@ -219,47 +219,47 @@ impl OdometryWarning {
         match self {
             Self::Lost { lost, scans } => of(
                 "lost",
-                format!("{lost} of {scans} scans found no place in the map and have no pose"),
+                format!("{lost} of {scans} scans could not be registered and have no pose"),
             )
             .value(*lost as f64, ""),
             Self::LostAtEnd { scans } => of(
                 "lost-at-end",
-                format!("the last {scans} scans are lost: the trajectory ends before them"),
+                format!("the last {scans} scans could not be registered: the trajectory ends before them"),
             )
             .value(*scans as f64, ""),
             Self::LidarGap { from_s, to_s } => of(
                 "lidar-gap",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion is the IMU's alone: no poses are written there, and what is behind may be off by what the IMU drifted"
+                    "from {from_s:.1} to {to_s:.1} s no scan has a pose, and the motion comes from the IMU alone: no poses are written there, and later ones may be off by the IMU's drift"
                 ),
             )
             .value(to_s - from_s, "s"),
             Self::ImuPause { from_s, to_s } => of(
                 "imu-pause",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s the IMU measured nothing, or the same again and again: scans are predicted and deskewed there by what it said last, and may be wrong there and behind"
+                    "from {from_s:.1} to {to_s:.1} s the IMU sent no samples, or repeated the same one: scans are predicted and deskewed there with its last sample, and may be wrong from there on"
                 ),
             )
             .value(to_s - from_s, "s")
             .remedy("check its cable (`lsfb doctor`), or run without the IMU"),
-            Self::LoopMisfit { sigmas } => {
+            Self::LoopDisagrees { sigmas } => {
                 let finding = of(
-                    "loop-misfit",
+                    "loop-disagrees",
                     format!(
-                        "a closed loop is {sigmas:.0} standard deviations off: it contradicts the odometry or the other loops, and the walk is bent by it"
+                        "a closed loop is {sigmas:.0} standard deviations off: it contradicts the odometry or the other loops and bends the trajectory"
                     ),
                 )
                 .value(*sigmas, "σ")
                 .remedy("look for a false one");
                 match finding.verdict {
-                    Verdict::Fail => finding.limit(Limit::AtMost(MOST_MISFIT_SIGMAS)),
+                    Verdict::Fail => finding.limit(Limit::AtMost(MOST_LOOP_SIGMAS)),
                     _ => finding,
                 }
             }
             Self::Piece { share } => of(
                 "last-piece",
                 format!(
-                    "the recording ends within a scan: the {:.0} % of it that are there found no place in the map, and are left out",
+                    "the recording ends within a scan: the available {:.0} % of it could not be registered and are left out",
                     (share * 100.0).ceil()
                 ),
             )
@@ -276,17 +276,17 @@ impl OdometryWarning {
             } => of(
                 "accelerometer-untold",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s the accelerometer alone has the motion along ({x:.2}, {y:.2}, {z:.2}), and no scan of the walk tells whether it is right along it: if it is turned round, poses are {off_m:.1} m off (covariances have that)"
+                    "from {from_s:.1} to {to_s:.1} s the motion along ({x:.2}, {y:.2}, {z:.2}) comes from the accelerometer alone, and no scan of the walk checks that axis: if its sign is wrong, poses are {off_m:.1} m off (included in the covariances)"
                 ),
             )
             .value(*off_m, "m")
             .remedy(
-                "walk a stretch where scans see such motion as well, or make sure of the IMU's axes",
+                "walk a stretch where scans constrain such motion, or check the IMU's axes",
             ),
             Self::EndUncertain { sigma_m } => of(
                 "end-uncertain",
                 format!(
-                    "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not tell where the recording ends"
+                    "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not determine where the recording ends"
                 ),
             )
             .value(*sigma_m, "m")
@@ -294,23 +294,23 @@ impl OdometryWarning {
             Self::StretchUncertain { at_s, sigma_m } => of(
                 "stretch-uncertain",
                 format!(
-                    "at {at_s:.1} s the pose may be {sigma_m:.1} m off (one standard deviation), though the end is known"
+                    "at {at_s:.1} s the pose may be {sigma_m:.1} m off (one standard deviation), although the end is known"
                 ),
             )
             .value(*sigma_m, "m")
             .limit(Limit::AtMost(MAX_SIGMA_M))
-            .remedy("do not use what lies between"),
+            .remedy("do not use the poses in between"),
             Self::Skipped { skipped, scans } => of(
                 "skipped",
                 format!(
-                    "{skipped} of {scans} scans were empty, out of order, or before the first inertial sample"
+                    "{skipped} of {scans} scans were empty, out of order, or before the first IMU sample"
                 ),
             )
             .value(*skipped as f64, ""),
             Self::Repeated { repeated, scans } => of(
                 "repeated-scans",
                 format!(
-                    "{repeated} of {scans} scans are the one before once more, number by number, which no sensor measures: the LiDAR or its driver hung, or files were written twice; the trajectory stands still there whatever the carrier did"
+                    "{repeated} of {scans} scans are exact copies of the previous one, which no sensor produces: the LiDAR or its driver hung, or files were written twice; the trajectory stands still there whatever the motion was"
                 ),
             )
             .value(*repeated as f64, ""),
@@ -327,19 +327,19 @@ impl OdometryWarning {
             Self::DeskewedByAzimuth { scans, of: all } => of(
                 "deskewed-by-azimuth",
                 format!(
-                    "{scans} of {all} scans were deskewed by azimuth: their points are taken to be as the sensor fired them"
+                    "{scans} of {all} scans were deskewed by azimuth, which assumes that their points are in firing order"
                 ),
             )
             .value(*scans as f64, ""),
             Self::AccelerometerInGravities => of(
                 "accelerometer-unit",
-                "the accelerometer measures in units of gravity: taken times 9.80665 m/s²"
+                "the accelerometer is in units of gravity: multiplied by 9.80665 m/s²"
                     .to_owned(),
             ),
             Self::RareScans { interval_s } => of(
                 "rare-scans",
                 format!(
-                    "scans are {interval_s:.1} s apart: where few of them saw a surface one may be registered to the wrong one, and the covariances do not have that in them"
+                    "scans are {interval_s:.1} s apart: where few of them saw a surface, one may be registered to the wrong surface, and the covariances do not include that"
                 ),
             )
             .value(*interval_s, "s")
@@ -350,19 +350,19 @@ impl OdometryWarning {
             Self::ExtrinsicRotation { off_deg, sigma_deg } => of(
                 "extrinsic-rotation",
                 format!(
-                    "gyroscope and scans turn about different axes: the LiDAR's rotation on the IMU is off by {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation) or more, and poses are wrong by it"
+                    "gyroscope and scans rotate about different axes: the LiDAR's rotation relative to the IMU is off by at least {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation), and poses are wrong by it"
                 ),
             )
             .value(*off_deg, "°")
             .sigma(*sigma_deg)
             .remedy("calibrate the rig, or run without the IMU"),
             Self::ImuAxes { sensor, right } => of("imu-axes", axes_sentence(sensor, right)).remedy(
-                "mend the rotations in the rig file or the IMU's driver, or run without the IMU",
+                "fix the rotations in the rig file or the IMU's driver, or run without the IMU",
             ),
             Self::ImuClock { late_s, sigma_s } => of(
                 "imu-clock",
                 format!(
-                    "gyroscope and scans turn alike if the IMU's stamps are {:.0} ± {:.0} ms (one standard deviation) too {}: the path between scans is wrong by it, and so may the poses of scans be",
+                    "gyroscope and scans agree if the IMU's stamps are {:.0} ± {:.0} ms (one standard deviation) too {}: the path between scans is wrong by it, and the poses of scans may be too",
                     late_s.abs() * 1e3,
                     sigma_s * 1e3,
                     if *late_s > 0.0 { "late" } else { "early" }
@@ -370,7 +370,7 @@ impl OdometryWarning {
             )
             .value(late_s * 1e3, "ms")
             .sigma(sigma_s * 1e3)
-            .remedy("set the clocks, or run without the IMU"),
+            .remedy("synchronise the clocks, or run without the IMU"),
             Self::ScansApart {
                 off_m,
                 from_s,
@@ -378,18 +378,18 @@ impl OdometryWarning {
             } => of(
                 "scans-apart",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s (the worst stretch) scans a second apart lie on each other {off_m:.2} m off where the trajectory has them (half of them by more): the IMU draws them away, and the trajectory may be metres off"
+                    "from {from_s:.1} to {to_s:.1} s (the worst stretch) scans a second apart disagree with the trajectory by {off_m:.2} m (median): the IMU pulls them away, and the trajectory may be metres off"
                 ),
             )
             .value(*off_m, "m")
             .limit(Limit::AtMost(MAX_APART_M))
             .remedy(
-                "run without the IMU to see whether an axis or the sign of the accelerometer is wrong, or its unit or clock",
+                "run without the IMU to see whether an axis, the sign, the unit or the clock of the accelerometer is wrong",
             ),
             Self::ScansUnchecked { from_s, to_s } => of(
                 "scans-unchecked",
                 format!(
-                    "from {from_s:.1} to {to_s:.1} s scans are too few, or share too little with those a second before, to tell whether the IMU draws them away: that is not checked there"
+                    "from {from_s:.1} to {to_s:.1} s scans are too few, or overlap too little with those of a second before, to check whether the IMU pulls them away"
                 ),
             )
             .value(to_s - from_s, "s"),
@@ -400,33 +400,33 @@ impl OdometryWarning {
             Self::LittleAgreement { share } => of(
                 "little-agreement",
                 format!(
-                    "only {:.0} % of a scan agrees with the map on average, where IMU and scans that fit each other have 80 % and more: poses may be metres off",
+                    "only {:.0} % of a scan agrees with the map on average; with a matching IMU it is 80 % or more: poses may be metres off",
                     share * 100.0
                 ),
             )
             .value(100.0 * share, "%")
             .limit(Limit::AtLeast(100.0 * USUAL_AGREEMENT))
             .remedy(
-                "run without the IMU to see whether one of its axes or signs is wrong (at rest it feels 9.81 m/s² upwards), or the LiDAR's rotation on it",
+                "run without the IMU to see whether one of its axes or signs is wrong (at rest it measures 9.81 m/s² upwards), or the LiDAR's rotation relative to it",
             ),
             Self::StretchDisagrees { from_s, share } => of(
                 "stretch-disagrees",
                 format!(
-                    "for ten seconds from {from_s:.1} s on only {:.0} % of a scan agrees with the map, where IMU and scans that fit each other have 80 % and more: poses there and behind may be wrong",
+                    "for ten seconds from {from_s:.1} s only {:.0} % of a scan agrees with the map; with a matching IMU it is 80 % or more: poses from there on may be wrong",
                     share * 100.0
                 ),
             )
             .value(100.0 * share, "%")
             .limit(Limit::AtLeast(100.0 * LEAST_AGREEMENT))
             .remedy(
-                "look whether the IMU or the LiDAR slipped, or most of what it saw was in motion",
+                "check whether the IMU or the LiDAR slipped, or most of the scene was moving",
             ),
             Self::BeganUnfelt => of(
                 "began-unfelt",
-                "at the start the carrier moved by its scans, and its IMU did not feel it, as of one that rolls evenly: the first second may be decimetres off, and all behind it with it"
+                "at the start the scans moved, but the IMU did not sense it (steady motion): the first second may be decimetres off, and everything after it as well"
                     .to_owned(),
             )
-            .remedy("stand still for a second at the start, or begin in full stride"),
+            .remedy("stand still for a second at the start, or begin at walking pace"),
             Self::OutOfRange { what } => of("out-of-range", what.clone()),
             Self::NoImu { deskewed } => {
                 let deskewed = match deskewed {
@@ -435,7 +435,7 @@ impl OdometryWarning {
                 };
                 of(
                     "no-imu",
-                    format!("no IMU: {deskewed}the world is not level"),
+                    format!("no IMU: {deskewed}the world is not gravity-aligned"),
                 )
             }
             Self::Damaged { what } => of("damaged", what.clone()),
@@ -451,7 +451,7 @@ impl OdometryWarning {
             | Self::ScansApart { .. } => Verdict::Fail,
             // Less, and it may be the accelerometer's own scale.
             Self::Scale { scale, .. } if (scale - 1.0).abs() > LARGEST_SCALE_OFF => Verdict::Fail,
-            Self::LoopMisfit { sigmas } if *sigmas > MOST_MISFIT_SIGMAS => Verdict::Fail,
+            Self::LoopDisagrees { sigmas } if *sigmas > MOST_LOOP_SIGMAS => Verdict::Fail,
             _ => Verdict::Warn,
         }
     }
@@ -476,12 +476,12 @@ const NEAR_UNIT: f64 = 0.2;
 fn axes_sentence(sensor: &str, right: &str) -> String {
     let why = match (sensor, right) {
         ("accelerometer", "(-x, -y, -z)") => {
-            ", as of one of the wrong sign: at rest it must feel 9.81 m/s² upwards"
+            ", which means a wrong sign: at rest it must measure 9.81 m/s² upwards"
         }
         _ => "",
     };
     format!(
-        "the {sensor} fits the scans by far best if the rig's axes x, y and z are its own {right}{why}; trajectory and gravity are wrong by it"
+        "the {sensor} fits the scans by far best if the rig's axes x, y and z are its own {right}{why}; trajectory and gravity are wrong"
     )
 }
 
@@ -495,7 +495,7 @@ fn unit_of(scale: f64) -> Option<&'static (f64, &'static str)> {
 fn scale_remedy(scale: f64) -> &'static str {
     match (scale - 1.0).abs() < LARGEST_RANGE_OFF {
         true => {
-            "measure a known distance with the LiDAR, and look whether the accelerometer has 9.81 m/s² at rest"
+            "measure a known distance with the LiDAR, and check that the accelerometer measures 9.81 m/s² at rest"
         }
         false => "",
     }
@@ -504,19 +504,19 @@ fn scale_remedy(scale: f64) -> &'static str {
 fn scale_sentence(scale: f64, sigma: f64) -> String {
     let why = match unit_of(scale) {
         _ if scale < 0.0 => {
-            "the accelerometer has the wrong sign: at rest it must feel 9.81 m/s² upwards"
+            "the accelerometer has the wrong sign: at rest it must measure 9.81 m/s² upwards"
                 .to_owned()
         }
         Some((_, unit)) => format!("as with {unit}"),
         None if (scale - 1.0).abs() < LARGEST_RANGE_OFF => format!(
-            "ranges are {:.1} % too {}, and so is the path, or the accelerometer's scale is off",
+            "ranges (and the path) are {:.1} % too {}, or the accelerometer's scale is off",
             100.0 * (scale - 1.0).abs(),
             if scale > 1.0 { "long" } else { "short" }
         ),
-        None => "a unit is wrong, or the IMU is not on this LiDAR".to_owned(),
+        None => "a unit is wrong, or the IMU does not belong to this LiDAR".to_owned(),
     };
     format!(
-        "by the scans the carrier accelerates {scale:.3} ± {sigma:.3} times as much as by its accelerometer: {why}; trajectory and covariances are wrong by it"
+        "accelerations from the scans are {scale:.3} ± {sigma:.3} times those of the accelerometer: {why}; trajectory and covariances are wrong by that factor"
     )
 }
 
@@ -524,13 +524,13 @@ fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> 
     let these = format!("{scans} of {of} scans");
     match (field, not_believed) {
         (Some(field), 0) => format!(
-            "the field `{field}` holds no times of points in {these}: these scans are not deskewed"
+            "the field `{field}` has no usable point times in {these}: these scans are not deskewed"
         ),
         (None, 0) => {
-            format!("the points of {these} carry no times: these scans are not deskewed")
+            format!("the points of {these} have no times: these scans are not deskewed")
         }
         (field, not_believed) => format!(
-            "by the times of their points{} {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
+            "according to the times of their points{}, {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
             field.map_or(String::new(), |f| format!(" (`{f}`)"))
         ),
     }
@@ -558,7 +558,7 @@ mod tests {
         assert!(!late.what.contains("without the IMU"), "{}", late.what);
         assert_eq!(
             late.remedy.as_deref(),
-            Some("set the clocks, or run without the IMU")
+            Some("synchronise the clocks, or run without the IMU")
         );
 
         let lost = OdometryWarning::EndUncertain { sigma_m: 2.5 };
@@ -574,10 +574,10 @@ mod tests {
     /// Ten standard deviations are the limit of a failure: of seven it would say that they are within it.
     #[test]
     fn a_limit_that_is_not_crossed_is_not_given() {
-        let misfit = |sigmas| OdometryWarning::LoopMisfit { sigmas }.finding();
-        assert_eq!(misfit(7.0).crossed_limit(), None);
+        let disagreement = |sigmas| OdometryWarning::LoopDisagrees { sigmas }.finding();
+        assert_eq!(disagreement(7.0).crossed_limit(), None);
         assert_eq!(
-            misfit(12.0).crossed_limit().as_deref(),
+            disagreement(12.0).crossed_limit().as_deref(),
             Some("at most 10 σ")
         );
     }

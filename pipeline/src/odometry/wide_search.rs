@@ -82,11 +82,11 @@ pub(super) struct Innovations {
 
 impl Innovations {
     /// By how much the covariance of a prediction is to be multiplied.
-    fn doubt(&self) -> f64 {
+    fn inflation(&self) -> f64 {
         let sum: f64 = self.squared_sigmas.iter().sum();
         let count = (self.squared_sigmas.len() + SUPPOSED) as f64;
         let mean = (sum / 6.0 + SUPPOSED as f64 * SUPPOSED_DOUBT) / count;
-        mean.clamp(1.0, MOST_DOUBT)
+        mean.clamp(1.0, MOST_INFLATION)
     }
 
     pub fn take(&mut self, squared_sigmas: f64) {
@@ -103,7 +103,7 @@ const INNOVATIONS: usize = 10;
 const SUPPOSED: usize = 2;
 const SUPPOSED_DOUBT: f64 = 2.0;
 /// No prediction is doubted more.
-const MOST_DOUBT: f64 = 10.0;
+const MOST_INFLATION: f64 = 10.0;
 
 /// Keeps what is not open at all from failing to be inverted: next to nothing.
 const LEAST_OPEN: f64 = 1e-12;
@@ -121,12 +121,12 @@ impl Odometry {
             return None;
         }
         // Once for each prediction, however many scans are then searched for with it.
-        let mut doubt = 1.0;
+        let mut inflation = 1.0;
         if self.searched_in_vain.is_none()
             && let Motion::Inertial(inertial) = &mut self.motion
         {
-            doubt = self.innovations.doubt();
-            inertial.filter.as_mut()?.doubt(doubt);
+            inflation = self.innovations.inflation();
+            inertial.filter.as_mut()?.widen(inflation);
         }
         self.searched_in_vain = Some(now);
         let prior = self.prior(path);
@@ -161,8 +161,8 @@ impl Odometry {
         find.with_prediction = with_prior(&prior, &registration.world_from_rig, &information);
         let off = prior.world_from_rig.local(&registration.world_from_rig);
         let both = prior.information.cholesky()?.inverse() + open;
-        // Against what it says itself, without the doubt.
-        find.squared_sigmas = doubt * both.cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
+        // Against what it says itself, without the inflation.
+        find.squared_sigmas = inflation * both.cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
         Some(find)
     }
 
@@ -357,12 +357,12 @@ mod tests {
     #[test]
     fn predictions_that_are_off_by_more_than_they_say_are_doubted() {
         let mut innovations = Innovations::default();
-        assert!(innovations.doubt() > 1.5);
+        assert!(innovations.inflation() > 1.5);
         (0..20).for_each(|_| innovations.take(6.0));
-        assert!(innovations.doubt() < 1.2);
+        assert!(innovations.inflation() < 1.2);
         (0..20).for_each(|_| innovations.take(24.0));
-        assert!((3.0..4.5).contains(&innovations.doubt()));
+        assert!((3.0..4.5).contains(&innovations.inflation()));
         (0..20).for_each(|_| innovations.take(1e9));
-        assert!(innovations.doubt() <= MOST_DOUBT);
+        assert!(innovations.inflation() <= MOST_INFLATION);
     }
 }

@@ -59,7 +59,7 @@ pub(super) fn read(folder: &Path, model: &Path) -> Result<Listed, Error> {
             return Err(fail("its camera is missing"));
         }
         let camera_from_world = image.camera_from_world;
-        let pose = camera_from_world.ok_or_else(|| fail("its pose is no rigid transform"))?;
+        let pose = camera_from_world.ok_or_else(|| fail("its pose is not a rigid transform"))?;
         listed.add_image(beside.join(&image.name), &camera, Some(pose.inverse()));
     }
     Ok(listed)
@@ -96,14 +96,14 @@ pub(super) fn read_all(folder: &Path, model: &Path) -> Result<UnposedImages, Err
             let mut found = listed.unposed()?;
             if !others.is_empty() {
                 found.notes.push(format!(
-                    "{} images that the model does not list are left out: it does not say which of its cameras took them",
+                    "{} images that the model does not list are left out: the model does not say which of its cameras took them",
                     others.len()
                 ));
             }
             Ok(found)
         }
         None => Err(listed.refuse(
-            "it has several cameras, and no list of images that says which took which: name the folder of one camera's images, with --rig",
+            "it has several cameras, and no list of images that says which camera took which: name the folder of one camera's images and pass --rig",
         )),
     }
 }
@@ -162,7 +162,7 @@ mod text {
     use super::*;
 
     fn lines(bytes: &[u8]) -> Result<impl Iterator<Item = (usize, &str)>, String> {
-        let text = std::str::from_utf8(bytes).map_err(|_| "it is no text".to_owned())?;
+        let text = std::str::from_utf8(bytes).map_err(|_| "it is not text".to_owned())?;
         let lines = text
             .lines()
             .enumerate()
@@ -231,8 +231,10 @@ mod binary {
             let number = rest.u32()?;
             let model = rest.u32()?;
             let model = ColmapModel::from_number(model)
-                .ok_or_else(|| format!("camera model {model} is not known"))?;
-            let side = |v: u64| u32::try_from(v).map_err(|_| "a camera's size is none".to_owned());
+                .ok_or_else(|| format!("camera model {model} is not supported"))?;
+            let side = |v: u64| {
+                u32::try_from(v).map_err(|_| "the image size of a camera is invalid".to_owned())
+            };
             found.push(FoundCamera {
                 number,
                 model: model.name().to_owned(),
@@ -271,7 +273,7 @@ mod binary {
     }
 
     fn cut() -> String {
-        "the file is cut off".to_owned()
+        "the file is truncated".to_owned()
     }
 
     /// What is not read yet.
@@ -303,7 +305,7 @@ mod binary {
         /// Up to a zero byte.
         fn name(&mut self) -> Result<String, String> {
             let length = self.0.iter().take(MAX_NAME_BYTES).position(|b| *b == 0);
-            let length = length.ok_or("the name of an image has no end")?;
+            let length = length.ok_or("the name of an image is not terminated")?;
             let name = String::from_utf8_lossy(self.take(length)?).into_owned();
             self.take(1)?;
             Ok(name)

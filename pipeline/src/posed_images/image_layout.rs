@@ -120,7 +120,7 @@ fn pinhole(folder: &Path) -> Result<UnposedImages, Error> {
         }
         (false, false) => {
             return Err(refuse(
-                "images lie in it and in images/: name the folder of those that are meant, with --rig",
+                "images are both here and in images/: name the folder to use and pass --rig",
             ));
         }
     };

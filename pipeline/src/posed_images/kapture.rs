@@ -37,7 +37,7 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
         let size = size.ok_or_else(|| fail("a camera needs its size".to_owned()))?;
         let parameters: Option<Vec<f64>> = parameters.iter().map(|w| w.parse().ok()).collect();
         let parameters =
-            parameters.ok_or_else(|| fail("a parameter of the lens is no number".to_owned()))?;
+            parameters.ok_or_else(|| fail("a parameter of the lens is not a number".to_owned()))?;
         let found = camera(model, size, &parameters).map_err(fail)?;
         listed.add_camera(name, found)?;
     }
@@ -168,11 +168,11 @@ impl Row {
                 return Ok(None);
             };
             let parsed = word.parse();
-            *number = parsed.map_err(|_| self.refuse(path, &format!("{word} is no number")))?;
+            *number = parsed.map_err(|_| self.refuse(path, &format!("{word} is not a number")))?;
         }
         let [w, x, y, z, t @ ..] = numbers;
         let found = pose([w, x, y, z], t);
-        let found = found.ok_or_else(|| self.refuse(path, "the pose is no rigid transform"))?;
+        let found = found.ok_or_else(|| self.refuse(path, "the pose is not a rigid transform"))?;
         Ok(Some(found))
     }
 

@@ -79,7 +79,7 @@ fn posed(path: &Path, file: &Path, rows: &[f64; 16]) -> Result<PosedImage, Error
     let world_from_rig: Se3 = rigid(rows).ok_or(Error::PosedImages {
         path: file.to_owned(),
         line: 1,
-        reason: "the pose is no rigid transform",
+        reason: "the pose is not a rigid transform",
     })?;
     Ok(PosedImage {
         path: path.to_owned(),
@@ -167,7 +167,7 @@ fn strecha(folder: &Path, cameras: &Path) -> Result<PosedImages, Error> {
         return Err(Error::PosedImages {
             path: cameras.to_owned(),
             line: 1,
-            reason: "no file belongs to an image",
+            reason: "no file for an image",
         });
     };
     Ok(PosedImages {
@@ -252,7 +252,7 @@ mod tests {
         }
         let file = "600 0 319.5\n0 610 239.5\n0 0 1\n0 0 0\n0 -1 0\n1 0 0\n0 0 1\n1 2 3\n640 480\n";
         let missing = PosedImages::read(folder).expect_err("empty").to_string();
-        assert!(missing.contains("no file belongs"), "{missing}");
+        assert!(missing.contains("no file for an image"), "{missing}");
         for name in ["0000.bmp", "0001.bmp"] {
             write_image(&folder.join("images").join(name), 320, 240);
             fs::write(cameras.join(format!("{name}.camera")), file).expect("camera");

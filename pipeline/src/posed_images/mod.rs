@@ -97,7 +97,7 @@ impl PosedImages {
             images.push(PosedImage {
                 path: folder.join(IMAGES).join(name),
                 camera: CAMERA.to_owned(),
-                world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
+                world_from_rig: rigid(&rows).ok_or(refuse("the pose is not a rigid transform"))?,
                 instant: None,
             });
         }
@@ -272,7 +272,7 @@ mod tests {
         .expect("write");
         assert!(message(folder.path()).contains("line 2"));
         fs::write(&poses, "a.png 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n").expect("write");
-        assert!(message(folder.path()).contains("no rigid transform"));
+        assert!(message(folder.path()).contains("not a rigid transform"));
     }
 
     #[test]

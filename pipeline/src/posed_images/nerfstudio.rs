@@ -22,14 +22,14 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
     let path = folder.join(FILE);
     let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
     let mut listed = Listed::new(folder, &path);
-    let whole: Object =
-        serde_json::from_str(&text).map_err(|e| listed.refuse(format!("no JSON object: {e}")))?;
+    let whole: Object = serde_json::from_str(&text)
+        .map_err(|e| listed.refuse(format!("not a JSON object: {e}")))?;
     let frames = whole.get("frames").and_then(Value::as_array);
     let frames = frames.ok_or_else(|| listed.refuse("it has no list named frames"))?;
     for (number, frame) in frames.iter().enumerate() {
         let fail = |listed: &Listed, why: &str| listed.refuse(format!("frame {number}: {why}"));
         let frame = frame.as_object();
-        let frame = frame.ok_or_else(|| fail(&listed, "it is no object"))?;
+        let frame = frame.ok_or_else(|| fail(&listed, "it is not an object"))?;
         let name = frame.get("file_path").and_then(Value::as_str);
         let name = name.ok_or_else(|| fail(&listed, "it has no file_path"))?;
         let file = image_file(folder, name);
@@ -38,7 +38,7 @@ pub(super) fn read(folder: &Path) -> Result<Listed, Error> {
             Some(matrix) => Some(world_from_camera(matrix).ok_or_else(|| {
                 fail(
                     &listed,
-                    "transform_matrix is no rigid transform of 4 rows of 4 numbers",
+                    "transform_matrix is not a rigid transform of 4 rows of 4 numbers",
                 )
             })?),
         };
@@ -119,7 +119,7 @@ fn camera_of(said: &[&Object; 2], file: &Path) -> Result<Result<Camera, String>,
     let pinhole = [fx, fy, principal[0], principal[1]];
     Ok(match model.unwrap_or("OPENCV") {
         "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" if d("k4") != 0.0 => {
-            Err("k4 of a lens that is no fisheye is not known: undistort the images".to_owned())
+            Err("k4 is supported for fisheye lenses only: undistort the images".to_owned())
         }
         "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" => {
             let distortion = [d("k1"), d("k2"), d("p1"), d("p2"), d("k3"), 0.0, 0.0, 0.0];
@@ -134,7 +134,7 @@ fn camera_of(said: &[&Object; 2], file: &Path) -> Result<Result<Camera, String>,
             )
         }
         other => Err(format!(
-            "camera_model {other} is not known: undistort the images to OPENCV without distortion"
+            "camera_model {other} is not supported: undistort the images to OPENCV without distortion"
         )),
     })
 }

@@ -240,7 +240,7 @@ impl StoredClouds {
         let said = recording.metadata(METADATA).unwrap_or_default();
         if said.is_empty() {
             return Err(refuse(
-                "these are no clouds of `lsfb odometry --out-clouds`".to_owned(),
+                "these are not clouds of `lsfb odometry --out-clouds`".to_owned(),
             ));
         }
         for (name, value) in settings(features, 0.0) {
@@ -250,7 +250,7 @@ impl StoredClouds {
                 known => {
                     let known = known.map_or("nothing", String::as_str);
                     return Err(refuse(format!(
-                        "its edges were found with {name} = {known}, and the settings ask for {value}: store the clouds anew, or map without them"
+                        "its edges were found with {name} = {known}, but the settings say {value}: store the clouds again, or map without them"
                     )));
                 }
             }
@@ -259,14 +259,14 @@ impl StoredClouds {
         if let Some(first) = damage.first() {
             let count = damage.len();
             return Err(refuse(format!(
-                "it is damaged ({count} places, the first: {first}): store the clouds anew"
+                "it is damaged ({count} places, the first: {first}): store the clouds again"
             )));
         }
         let (rig, of_scan) = (recording.rig()?, scan.rig()?);
         let lidar = lidar_of(&rig)?;
         if lidar != lidar_of(&of_scan)? {
             return Err(refuse(format!(
-                "the LiDAR of its rig is another than that of {}: store the clouds of this recording",
+                "its LiDAR differs from that of {}: store the clouds of this recording",
                 scan.path().display()
             )));
         }
@@ -294,7 +294,7 @@ impl StoredClouds {
         Err(Error::StoredClouds {
             path: self.path().to_owned(),
             reason: format!(
-                "at {without} of {of} keyframes there is no scan: are these clouds of another recording, or of a walk that was lost?"
+                "{without} of {of} keyframes have no scan: do these clouds belong to another recording, or did the odometry lose track?"
             ),
         })
     }

@@ -54,7 +54,7 @@ impl Agreement {
             share => Verdict::Warn.unless(asked && !smeared && share <= MOST_CONTRADICTED),
         };
         let what = format!(
-            "{:.0} % of {} beams that meet a surface do so elsewhere than where they ended, and {:.0} % of what the scans saw lies on planes",
+            "{:.0} % of {} beams that hit a surface end elsewhere, and {:.0} % of what the scans saw lies on planes",
             100.0 * self.contradicted,
             self.beams,
             100.0 * self.on_planes
@@ -62,7 +62,7 @@ impl Agreement {
         Finding::new("scans-disagree", verdict, "trajectory", what)
             .value(100.0 * self.contradicted, "%")
             .limit(Limit::AtMost(100.0 * MOST_CONTRADICTED))
-            .remedy("give the trajectory that `lsfb map --out-trajectory` or `lsfb odometry` wrote of this very recording, and check its clock and its body")
+            .remedy("give the trajectory of this recording by `lsfb map --out-trajectory` or `lsfb odometry`, and check its clock and its frame")
     }
 }
 

@@ -31,25 +31,25 @@ impl Codebook {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, &'static str> {
         let head: &[u8; HEAD_BYTES] = bytes.first_chunk().ok_or("it is too short")?;
         if !head.starts_with(MAGIC) {
-            return Err("it is no codebook");
+            return Err("it is not a codebook");
         }
         let [version, words, dimensions] = [8, 12, 16].map(|at| {
             u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]) as usize
         });
         if version != VERSION as usize {
-            return Err("it is of another version");
+            return Err("it has another version");
         }
         if dimensions != DESCRIPTOR_LEN {
-            return Err("it is of descriptors of another length");
+            return Err("its descriptors have another length");
         }
         let length = words.checked_mul(DESCRIPTOR_LEN);
         let length = length.and_then(|n| n.checked_add(HEAD_BYTES + HASH_BYTES));
         if words == 0 || length != Some(bytes.len()) {
-            return Err("its length is not what its head says");
+            return Err("its length does not match its header");
         }
         let (content, hash) = bytes.split_at(bytes.len() - HASH_BYTES);
         if Sha256::digest(content).as_slice() != hash {
-            return Err("it is damaged: its hash is another");
+            return Err("it is damaged: its hash does not match");
         }
         Ok(Self::of_words(content[HEAD_BYTES..].to_vec()))
     }

@@ -36,7 +36,7 @@ impl Codebook {
         let values: Vec<f32> = chosen.iter().flat_map(of).collect();
         let centroids = train(&values, DESCRIPTOR_LEN, words.max(1), ROUNDS, &|round| {
             progress(Progress {
-                stage: "codebook",
+                stage: "training the codebook",
                 done: round as u64,
                 total: ROUNDS as u64,
             })

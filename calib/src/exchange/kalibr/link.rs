@@ -63,22 +63,22 @@ impl Link {
             readout_s: height * row_s,
         };
         if !(timing.rig_from_camera_s.is_finite() && timing.readout_s.is_finite()) {
-            return Err("a time offset or line delay that is no number".to_owned());
+            return Err("the time offset or line delay is not a number".to_owned());
         }
         if timing.readout_s.abs() > LONGEST_READOUT_S {
             return Err(format!(
-                "rows {row_s} s apart are {} s for the image: line_delay is in seconds",
+                "rows {row_s} s apart make {} s per image: line_delay is in seconds",
                 timing.readout_s
             ));
         }
         if self.timeshift_cam_imu.is_none() && self.has_imu() {
             notes.push(format!(
-                "{name}: no timeshift_cam_imu in it: its clock is taken for the IMU's"
+                "{name}: it has no timeshift_cam_imu: its clock is assumed to be the IMU's"
             ));
         }
         if row_s != 0.0 {
             notes.push(format!(
-                "{name}: its rows are read one after the other within {:.2} ms; its stamps are taken for those of the first row, as Kalibr has it: the rig's time offset, of the middle row, is {:.2} ms",
+                "{name}: rolling shutter with a readout of {:.2} ms. Kalibr's stamps are of the first row, so that the rig's time offset, of the middle row, is {:.2} ms",
                 timing.readout_s * 1e3,
                 timing.rig_from_camera_s * 1e3
             ));
@@ -126,17 +126,17 @@ fn pose(rows: &[[f64; 4]; 4]) -> Result<Se3, String> {
     let is_last = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-9;
     if !rows[3].iter().zip(&last).all(is_last) {
         return Err(format!(
-            "is no rigid transform: its last row is {}, expected [0, 0, 0, 1]; is it written by columns?",
+            "is not a rigid transform: its last row is {}, expected [0, 0, 0, 1]; is it written column by column?",
             list(&rows[3])
         ));
     }
     let turn = Matrix3::from_fn(|i, j| rows[i][j]);
-    let rotation = rotation(&turn).ok_or("is no rigid transform")?;
+    let rotation = rotation(&turn).ok_or("is not a rigid transform")?;
     let translation = Vector3::from_fn(|i, _| rows[i][3]);
     let pose = Se3::new(rotation, translation);
     is_finite(&pose)
         .then_some(pose)
-        .ok_or_else(|| "has a translation that is no number".to_owned())
+        .ok_or_else(|| "has a translation that is not a number".to_owned())
 }
 
 /// The camera, and by how much its lens misses the one in the file at most, pixels.
@@ -155,7 +155,7 @@ pub(super) fn camera(link: &Link) -> Result<(Camera, f64), String> {
         "ds" | "eucm" => 2,
         other => {
             return Err(format!(
-                "camera_model {other} is not known: pinhole, omni, ds and eucm are"
+                "camera_model {other} is not supported: use pinhole, omni, ds or eucm"
             ));
         }
     };
@@ -224,7 +224,9 @@ pub(super) fn camera(link: &Link) -> Result<(Camera, f64), String> {
             }
         }
         (model, distortion) => {
-            return Err(format!("{model} with distortion {distortion} is not known"));
+            return Err(format!(
+                "{model} with distortion {distortion} is not supported"
+            ));
         }
     };
     let camera = checked(Camera {

@@ -56,7 +56,7 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
         let (camera, miss_px) = camera(&link).map_err(fail)?;
         if miss_px > 0.0 {
             notes.push(format!(
-                "{name}: the omni lens is read as {}, which misses it by up to {miss_px:.3} px",
+                "{name}: the omni lens is converted to {}, with an error of up to {miss_px:.3} px",
                 camera.lens.model().name()
             ));
         }
@@ -64,13 +64,13 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
             (Some(pose), _) => pose,
             (None, None) if !has_imu => {
                 notes.push(format!(
-                    "no pose to an IMU in it (T_cam_imu or T_imu_cam): {name} is the origin"
+                    "it has no pose relative to an IMU (T_cam_imu or T_imu_cam): {name} becomes the origin"
                 ));
                 Se3::identity()
             }
             _ => {
                 return Err(fail(
-                    "neither T_cam_imu, T_imu_cam nor T_cn_cnm1 says where it is".to_owned(),
+                    "it has no pose: expected T_cam_imu, T_imu_cam or T_cn_cnm1".to_owned(),
                 ));
             }
         };
@@ -83,7 +83,7 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
         }
     }
     if rig.cameras.is_empty() {
-        return Err(parse_error(path, "no camera in it"));
+        return Err(parse_error(path, "it has no camera"));
     }
     let poses = match has_imu {
         true => PosesOf::Imu,
@@ -104,21 +104,21 @@ fn no_chain(keys: &Others) -> Option<String> {
     let has = |words: &[&str]| keys.keys().any(|key| words.iter().any(|w| key.contains(w)));
     let looks_like = match () {
         () if has(&["body_T_cam", "num_of_cam"]) => {
-            "; these are settings of VINS-Fusion, which names its cameras' files: `lsfb calib import ros` reads those in OpenCV's form"
+            "; these are settings of VINS-Fusion, which names its cameras' files: use `lsfb calib import ros` for those in OpenCV's format"
         }
         () if has(&["Camera.fx", "Camera1.fx", "Camera.type", "ORBextractor"]) => {
-            "; these are settings of ORB-SLAM, which are not read"
+            "; these are settings of ORB-SLAM, which are not supported"
         }
         () if has(&["noise_density"]) => {
-            "; this is an IMU's file, which comes after the chain or with --rig"
+            "; this is an IMU's file, which must come after the camera chain or with --rig"
         }
         () if has(&["camera_matrix", "distortion_coefficients"]) || keys.contains_key("K") => {
-            "; this is a lens as ROS and OpenCV write it: `lsfb calib import ros`"
+            "; this is a lens in the format of ROS and OpenCV: use `lsfb calib import ros`"
         }
         () => "",
     };
     Some(format!(
-        "no camera chain of Kalibr or OpenVINS, whose keys are cam0, cam1 and so on{looks_like}"
+        "not a camera chain of Kalibr or OpenVINS, whose keys are cam0, cam1 and so on{looks_like}"
     ))
 }
 
@@ -134,10 +134,10 @@ pub fn import_kalibr_imu(text: &str, path: &str) -> Result<ImportedImu, Error> {
             let mut imus = imus.into_iter();
             let first = imus
                 .next()
-                .ok_or_else(|| parse_error(path, "no IMU in it"))?;
+                .ok_or_else(|| parse_error(path, "it has no IMU"))?;
             for (other, _) in imus {
                 notes.push(format!(
-                    "{other} is not used: a rig has one IMU, {} is taken",
+                    "{other} is not used: a rig has one IMU, and {} was taken",
                     first.0
                 ));
             }

@@ -226,7 +226,7 @@ impl Part {
                 silence.as_secs_f64()
             )),
             Pace::Unattended(since) => Some(format!(
-                "not listened to for {:.1} s: this machine is too busy",
+                "not read for {:.1} s: this machine is overloaded",
                 since.as_secs_f64()
             )),
             Pace::Slow {

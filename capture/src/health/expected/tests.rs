@@ -145,7 +145,7 @@ fn a_thread_that_was_not_run_has_missed_nothing() {
     hear(&mut part, began, 5, 0, 2_000);
     let later = began + MS * 5_000;
     let alarm = part.problem(later).expect("an alarm");
-    assert!(alarm.contains("too busy"), "{alarm}");
+    assert!(alarm.contains("overloaded"), "{alarm}");
     part.hear(600, later);
     part.look(later);
     hear(&mut part, began, 5, 5_000, 8_000);

@@ -84,7 +84,7 @@ async fn pushed(request: Request<Incoming>, visit: &Visit, parts: &[&str]) -> An
 }
 
 fn nothing() -> Answer {
-    said(StatusCode::NOT_FOUND, "nothing is here")
+    said(StatusCode::NOT_FOUND, "not found")
 }
 
 fn hello(visit: &Visit) -> Answer {
@@ -100,7 +100,7 @@ fn upgrade(request: Request<Incoming>, visit: Visit) -> Answer {
     let Some(protocol) = offered(&request, &[SUBPROTOCOL]) else {
         return said(
             StatusCode::BAD_REQUEST,
-            "this is a WebSocket; only subprotocol lsfb.sidecar.v1 is spoken",
+            "this is a WebSocket; the only subprotocol is lsfb.sidecar.v1",
         );
     };
     let serve = |socket| stream::serve(socket, visit);

@@ -68,7 +68,7 @@ pub(super) async fn put(
         visit.shared.refusals.count("segment with identifiers");
         return said(
             StatusCode::FORBIDDEN,
-            "identifiers are hashed here, and a segment holds them as they are",
+            "identifiers are hashed here, but the segment contains them in plain form",
         );
     }
     let number = number.parse::<u32>().ok().filter(|n| *n <= MAX_NUMBER);
@@ -78,19 +78,22 @@ pub(super) async fn put(
     let header = |name: &str| -> Option<&str> { request.headers().get(name)?.to_str().ok() };
     let length = header(CONTENT_LENGTH.as_str()).and_then(|text| text.parse::<u64>().ok());
     let Some(length) = length else {
-        return said(StatusCode::LENGTH_REQUIRED, "Content-Length is needed");
+        return said(StatusCode::LENGTH_REQUIRED, "Content-Length is required");
     };
     let digest = header("digest")
         .and_then(|text| STANDARD.decode(text.strip_prefix("sha-256=")?).ok())
         .filter(|digest| digest.len() == 32);
     let Some(digest) = digest else {
-        return said(StatusCode::BAD_REQUEST, "Digest: sha-256=BASE64 is needed");
+        return said(
+            StatusCode::BAD_REQUEST,
+            "Digest: sha-256=BASE64 is required",
+        );
     };
     if length > MAX_SEGMENT_BYTES {
         visit.shared.refusals.count("segment too long");
         return said(
             StatusCode::PAYLOAD_TOO_LARGE,
-            "a segment has 64 MiB at most",
+            "a segment may have at most 64 MiB",
         );
     }
     let segment = Segment {
@@ -152,12 +155,12 @@ enum Problem {
 impl Problem {
     fn words(self) -> &'static str {
         match self {
-            Self::Digest => "segment is not what its digest says",
-            Self::Length => "segment is not as long as it said",
+            Self::Digest => "segment does not match its digest",
+            Self::Length => "segment does not match its length",
             Self::Slow => "segment came too slowly",
-            Self::Full => "no room on the disk for a segment",
+            Self::Full => "no disk space for a segment",
             Self::Disk => "segment could not be written",
-            Self::NoRecording => "segment is no whole MCAP file of the profile ros2",
+            Self::NoRecording => "segment is not a complete MCAP file of the profile ros2",
             Self::Other => "another segment has this number",
         }
     }

@@ -47,7 +47,7 @@ pub(super) async fn hear(socket: &mut Socket) -> Result<Bytes, End> {
             Some(Ok(Message::Text(_))) => return Err(Refusal::BadMessage.into()),
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
             None | Some(Err(_) | Ok(Message::Close(_))) => {
-                return Err(End::Gone("left without a word"));
+                return Err(End::Gone("closed the connection"));
             }
         }
     }
@@ -67,6 +67,6 @@ pub(super) async fn in_time<E>(sending: impl Future<Output = Result<(), E>>) -> 
     match timeout(SEND_TIMEOUT, sending).await {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) => Err(End::Gone("its connection was lost")),
-        Err(_) => Err(End::Gone("does not read what it is told")),
+        Err(_) => Err(End::Gone("does not read messages")),
     }
 }

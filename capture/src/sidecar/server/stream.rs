@@ -23,7 +23,7 @@ pub(super) async fn serve(mut socket: Socket, visit: Visit) {
     let ticket = Arc::clone(&visit.ticket);
     let introduced = tokio::select! {
         introduced = introduce(&mut socket, &mut decoder, &visit) => introduced,
-        () = ticket.sent_away() => Err(End::Gone("made room for others")),
+        () = ticket.sent_away() => Err(End::Gone("disconnected to make room for others")),
     };
     let (end, device) = match introduced {
         Ok((hello, recorded)) => {
@@ -80,7 +80,7 @@ async fn introduce(
     visit: &Visit,
 ) -> Result<(Hello, Arc<Recorded>), End> {
     let heard = timeout(INTRODUCTION, hear(socket)).await;
-    let bytes = heard.map_err(|_| End::Gone("did not say who it is"))??;
+    let bytes = heard.map_err(|_| End::Gone("did not identify itself"))??;
     let Some(SidecarMessage::Hello(hello)) = decoder.push(&bytes)? else {
         return Err(Refusal::BadMessage.into());
     };

@@ -8,7 +8,7 @@ use super::{
     calib_lidar_camera, calib_refine, calib_target, calib_verify,
 };
 
-/// Calibrate cameras, IMU and LiDAR: print a board, estimate lenses, poses and clocks, join and verify them.
+/// Calibrate cameras, IMU and LiDAR: print a board, estimate, join and verify.
 ///
 /// All lengths are in metres. docs/calibration.md explains each step.
 ///

@@ -98,7 +98,7 @@ fn length(word: &str) -> Result<f64, String> {
         return Ok(metres);
     }
     Err(format!(
-        "{word} m: lengths are in metres, {} for {word} mm",
+        "{word} m: lengths are in metres; for {word} mm write {}",
         metres / 1e3
     ))
 }

@@ -19,8 +19,9 @@ use crate::outcome::Outcome;
 
 /// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
 ///
-/// Images in different folders belong together if the last numbers in their names are equal. If the reprojection errors are larger
-/// than any detector's noise, no rig is written, the page says why, and the exit code is 4.
+/// Images in different folders belong together if the last numbers in their names are equal. If the
+/// reprojection error is larger than the noise of any detector, no rig is written, the page says why,
+/// and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
@@ -41,8 +42,9 @@ pub struct Arguments {
     /// Lens model of all cameras.
     #[arg(long, value_name = "NAME", default_value = LensModel::KannalaBrandt.name(), value_parser = one_of(&LensModel::ALL, LensModel::name))]
     model: LensModel,
-    /// Rig to put the cameras into; the rest of it is kept. Cameras that seem to be swapped are named in a warning. What it says of their
-    /// shutters (readout_s) is taken out of images that follow each other by less than a quarter of a second.
+    /// Rig to put the cameras into; the rest of it is kept. A warning names cameras that seem to be
+    /// swapped. Its shutter times (readout_s) are corrected for in images less than a quarter of a second
+    /// apart.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// The rig to write; a page with plots and, for several cameras, the transforms for `lsfb calib joint` are written beside it.
@@ -142,7 +144,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             }
             if c.board.is_likely {
                 text += &format!(
-                    "\n    board bent by {:.1} ± {:.1} mm, as the views make likely: it is in these standard deviations",
+                    "\n    board bent by {:.1} ± {:.1} mm, as the views make likely; the standard deviations account for it",
                     c.board.bend_m * 1e3,
                     c.board.bend_sigma_m * 1e3
                 );

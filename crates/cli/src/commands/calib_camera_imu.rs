@@ -21,9 +21,10 @@ use crate::outcome::Outcome;
 
 /// Calibrate the cameras' poses and clocks relative to the IMU, from a walk in front of a board.
 ///
-/// The rig must hold the lenses, the cameras' poses relative to each other (`lsfb calib camera`) and the noise of the IMU. Images in
-/// folders are named by their stamps in nanoseconds. If the reprojection errors are larger than any detector's noise, no rig is
-/// written, the page says why, and the exit code is 4.
+/// The rig must hold the lenses, the cameras' poses relative to each other (`lsfb calib camera`) and
+/// the noise of the IMU. Images in folders are named by their stamps in nanoseconds. If the
+/// reprojection error is larger than the noise of any detector, no rig is written, the page says why,
+/// and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
@@ -171,7 +172,7 @@ fn summary(calibration: &CameraImuCalibration) -> String {
         let s = c.position_sigma_m.map(|s| s * 1e3);
         let worst_turn = c.rotation_sigma_rad.iter().copied().fold(0.0, f64::max);
         text += &format!(
-            "\n  {}: {:.3} px rms over {} corners, {} outliers; clock {:+.3} ± {:.3} ms; on the IMU at {:.1} {:.1} {:.1} ± {:.1} {:.1} {:.1} mm, turned ± {:.3}°",
+            "\n  {}: {:.3} px rms over {} corners, {} outliers; clock {:+.3} ± {:.3} ms; position on the IMU {:.1} {:.1} {:.1} ± {:.1} {:.1} {:.1} mm, rotation ± {:.3}°",
             c.name,
             c.rms_px,
             c.corners,
@@ -189,7 +190,7 @@ fn summary(calibration: &CameraImuCalibration) -> String {
     }
     if calibration.board_is_measured {
         text += &format!(
-            "\n  board: {:+.2} ± {:.2} % larger than said, by the accelerometer",
+            "\n  board: {:+.2} ± {:.2} % larger than specified, according to the accelerometer",
             calibration.board_excess * 100.0,
             calibration.board_excess_sigma * 100.0
         );

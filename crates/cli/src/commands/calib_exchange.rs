@@ -15,7 +15,7 @@ use crate::context::Context;
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
-/// Import a rig from the files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
+/// Import a rig from files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
 ///
 /// Anything that was not understood is listed.
 ///
@@ -34,7 +34,7 @@ pub struct ImportArguments {
     /// The files, in the order of the examples.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Rig to put the cameras into; what the files do not say is kept.
+    /// Rig to put the cameras into; anything that the files do not specify is kept.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// The rig to write; may be the one given with --rig.
@@ -42,7 +42,7 @@ pub struct ImportArguments {
     out: PathBuf,
 }
 
-/// Export a rig to the files of Kalibr, ROS, COLMAP or Basalt.
+/// Export a rig for Kalibr, ROS, COLMAP or Basalt.
 ///
 /// Examples:
 ///   lsfb calib export kalibr rig.toml --out kalibr
@@ -136,7 +136,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     };
     anyhow::ensure!(
         files.len() <= most,
-        "{} files, at most {most} are expected: see --help for their order",
+        "{} files, but at most {most} are expected: see --help for their order",
         files.len()
     );
     let Some(first) = files.first() else {
@@ -149,7 +149,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
             let found = read_kalibr(files)?;
             anyhow::ensure!(
                 !found.rig.cameras.is_empty() || arguments.rig.is_some(),
-                "{name} has no camera: give the rig of its IMU with --rig"
+                "{name} has no camera: give the rig for this IMU with --rig"
             );
             found
         }
@@ -179,7 +179,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
                 rig.cameras.insert(name, mounted);
             }
             if arguments.rig.is_none() {
-                notes.push("no poses in CameraInfo: all cameras are at the origin".to_owned());
+                notes.push("CameraInfo has no poses: all cameras are put at the origin".to_owned());
             }
             ImportedRig {
                 rig,
@@ -229,7 +229,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
             }
             (PosesOf::Nothing, Some(before), _) => before.rig_from_camera,
             _ => anyhow::bail!(
-                "nothing says where {name} is on the rig, which has {}: give its cameras these names",
+                "the pose of {name} on the rig is unknown; the rig has {}: give the cameras these names",
                 rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
             ),
         };
@@ -238,7 +238,7 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
             (PosesOf::FirstCamera | PosesOf::Nothing, Some(before)) => before.timing,
             (PosesOf::FirstCamera, None) => {
                 notes.push(format!(
-                    "{name}: nothing says how its clock stands to the IMU's: taken for the same"
+                    "{name}: the offset between its clock and the IMU's is unknown: zero is assumed"
                 ));
                 camera.timing
             }

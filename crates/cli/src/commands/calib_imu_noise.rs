@@ -15,7 +15,9 @@ use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Measure the IMU's noise (Allan variance) from a recording at rest; two hours are enough for all parameters.
+/// Measure the IMU's noise (Allan variance) from a recording at rest.
+///
+/// Two hours of recording are enough for all parameters.
 ///
 /// Examples:
 ///   lsfb calib imu-noise --recording night.mcap --out noise.html

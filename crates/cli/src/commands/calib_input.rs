@@ -41,7 +41,7 @@ impl Source {
     pub fn recording(&self) -> anyhow::Result<&Recording> {
         match self {
             Self::Recording(recording) => Ok(recording),
-            Self::Bag(_) => anyhow::bail!("scans are not read from ROS bags: give --clouds"),
+            Self::Bag(_) => anyhow::bail!("scans cannot be read from ROS bags: give --clouds"),
         }
     }
 }
@@ -165,7 +165,7 @@ pub fn imu_of(
             .imu()?
             .map(|s| s.map(|s| (s.time, s.sample)))
             .collect::<Result<_, _>>()?,
-        (None, _) => anyhow::bail!("there is no IMU: give --imu or --recording"),
+        (None, _) => anyhow::bail!("no IMU data: give --imu or --recording"),
     })
 }
 

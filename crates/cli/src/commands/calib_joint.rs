@@ -15,9 +15,9 @@ use crate::outcome::Outcome;
 
 /// Join pairwise transforms between sensors into one rig (Eq. 3), and check every loop.
 ///
-/// The cameras' poses in the rig are the transforms to the IMU; those given with --transform are added, and replace the rig's
-/// between the same sensors. If a transform contradicts the others, no rig is written, the page says which, and the exit code
-/// is 4.
+/// The cameras' poses in the rig are used as transforms to the IMU; those given with --transform are
+/// added, and replace the rig's between the same sensors. If a transform contradicts the others, no rig
+/// is written, the page names it, and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib joint --rig rig.toml --transform rig.cam0-lidar.json --transform rig.cam1-lidar.json --out joined.toml

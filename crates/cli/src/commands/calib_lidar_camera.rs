@@ -24,9 +24,10 @@ use crate::outcome::Outcome;
 
 /// Calibrate the LiDAR's pose relative to a camera, from poses of a board that both see.
 ///
-/// Images and clouds (PCD with rings) belong together if the last numbers in their names are equal; the board must then be at rest.
-/// In a recording, the board or the rig may move: the images around each scan give the board's pose at each return. The board
-/// must stand free (nothing within 20 cm behind it) and be tilted differently each time: ten poses are few, thirty are good.
+/// Images and clouds (PCD with rings) belong together if the last numbers in their names are equal; the
+/// board must then be at rest. In a recording, the board or the rig may move: the images around each
+/// scan give the board's pose at each return. The board must stand free (nothing within 20 cm behind
+/// it) and be tilted differently each time. Ten poses are the minimum, thirty are good.
 ///
 /// Examples:
 ///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate-m 0.85,0.61 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
@@ -115,7 +116,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let camera = mounted.camera;
     anyhow::ensure!(
         (views.width, views.height) == (camera.width, camera.height),
-        "camera {name}: images of {} × {} pixels, its lens in {} is for {} × {}",
+        "camera {name}: images are {} × {} pixels, but its lens in {} is for {} × {}",
         views.width,
         views.height,
         arguments.rig.display(),

@@ -14,10 +14,11 @@ use crate::outcome::Outcome;
 
 /// Refine the LiDAR's pose relative to the cameras on any recording, without a board.
 ///
-/// Image corners are placed on surfaces measured by the LiDAR and found again from other viewpoints, which determines each camera's
-/// rotation and translation to the LiDAR. The rig must be right within 2.5° and 5 cm. Walk through a furnished place for 30 s or
-/// more, and turn. What the recording does not determine is named and left unchanged. `lsfb calib joint` joins the transforms
-/// written here with those to the IMU. Exit code 4 if a camera could not be placed.
+/// Image corners are placed on surfaces measured by the LiDAR and found again from other viewpoints,
+/// which determines each camera's rotation and translation to the LiDAR. The rig must be right within
+/// 2.5° and 5 cm. Walk through a furnished place for 30 s or more, and turn. Anything that the
+/// recording does not determine is named and left unchanged. Use `lsfb calib joint` to join these
+/// transforms with those to the IMU. Exit code 4: a camera could not be placed.
 ///
 /// Examples:
 ///   lsfb calib refine scan.mcap --out refined.html

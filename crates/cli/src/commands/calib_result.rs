@@ -67,7 +67,7 @@ impl<C: Serialize> Calibrated<'_, C> {
         })?;
         if verdict == Verdict::Fail {
             context.note(&format!(
-                "error: {} is not written, its calibration cannot be used: see {} for why",
+                "error: {} is not written because its calibration is unusable: see {} for the reasons",
                 self.out.display(),
                 self.page.display()
             ));

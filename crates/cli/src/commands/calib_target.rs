@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     super::write(&yaml, target.to_kalibr())?;
     context.print(&target, || {
         format!(
-            "{}: print without scaling, then measure the line of 100 mm; {} describes it to the tools",
+            "{}: print without scaling, then check that the line measures 100 mm; {} is the target file for --target",
             arguments.out.display(),
             yaml.display()
         )

@@ -16,8 +16,9 @@ use crate::outcome::Outcome;
 
 /// Check a rig on any recording, without a board.
 ///
-/// Compares the cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and the cameras with each other;
-/// draws LiDAR returns over one image of each camera. Exit code 4 if a check fails.
+/// Compares the cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and the
+/// cameras with each other; draws LiDAR returns over one image of each camera. Exit code 4: a check
+/// failed.
 ///
 /// Examples:
 ///   lsfb calib verify scan.mcap
@@ -35,8 +36,8 @@ pub struct Arguments {
     /// The page to write, with pictures beside it; by default beside the recording.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
-    /// Also write the rig with the clock of each camera as its images and the gyroscope have it, for cameras that do not say by which clock
-    /// they stamp (rig_from_camera_s). It is checked once more before it is written.
+    /// Also write the rig with each camera's time offset as measured against the gyroscope, for cameras
+    /// with stamps of an unknown clock (rig_from_camera_s). It is checked again before it is written.
     #[arg(long, value_name = "TOML")]
     out_rig: Option<PathBuf>,
     /// Settings instead of the defaults.
@@ -153,7 +154,7 @@ fn write_clocks(
 ) -> anyhow::Result<()> {
     ensure!(
         !clocks.is_empty(),
-        "{}: no camera's clock was measured to half a millisecond and the same all along, with its axes right, so that no rig is written; the checks say why",
+        "{}: no camera's clock could be measured to half a millisecond, constant in time and with correct axes, so that no rig is written; the checks give the reasons",
         out.display()
     );
     let again = verify(recording, rig, config, &|p| context.show(p))?;
@@ -163,7 +164,7 @@ fn write_clocks(
         .find(|c| c.code == "time-offset" && c.outcome == Verdict::Fail);
     if let Some(check) = failed {
         bail!(
-            "{}: not written, with the measured clocks the rig does not fit either: {}: {}",
+            "{}: not written, because the rig does not fit with the measured clocks either: {}: {}",
             out.display(),
             check.name,
             check.sentence

@@ -13,9 +13,10 @@ use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 use crate::standing;
 
-/// Estimate every device's clock again from the recorded counters and arrival times, and plot it.
+/// Re-estimate every device's clock from the recorded counters and arrival times, and plot it.
 ///
-/// The constant part of a transport delay cannot be observed by any one-way method and remains in the offsets.
+/// The constant part of a transport delay cannot be observed by any one-way method and remains in the
+/// offsets.
 ///
 /// Examples:
 ///   lsfb clock scan.mcap
@@ -26,7 +27,7 @@ pub struct Arguments {
     /// The recording.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The page with plots to write; by default beside the recording.
+    /// Page with plots to write; by default beside the recording.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
     /// Length of the windows in which a line is fitted.
@@ -98,7 +99,7 @@ fn line(clock: &DeviceClock) -> String {
     }
     let _ = writeln!(
         out,
-        "; delays beyond the shortest: median {:.2} ms, 99 % {:.2} ms; recorded stamps {}: {:+.1} µs, rms {:.1} µs",
+        "; delays above the minimum: median {:.2} ms, 99 % {:.2} ms; recorded stamps {}: {:+.1} µs, rms {:.1} µs",
         clock.delay_p50_ms,
         clock.delay_p99_ms,
         if clock.locked {

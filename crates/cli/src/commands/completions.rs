@@ -6,7 +6,7 @@ use clap_complete::{Shell, generate};
 use crate::outcome::Outcome;
 use crate::terminal;
 
-/// Print a script that completes commands and options in a shell.
+/// Print a shell completion script.
 ///
 /// Examples:
 ///   lsfb completions bash > ~/.local/share/bash-completion/completions/lsfb

@@ -12,12 +12,14 @@ use crate::context::Context;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
-/// Write a trajectory of any program in the format of another: TUM, EuRoC, KITTI, csv, kapture, MCAP.
+/// Convert a trajectory of any program: TUM, EuRoC, KITTI, csv, kapture, MCAP.
 ///
-/// Reads what `lsfb eval` reads, and says what had to be sorted, guessed or left out. Numbers and stamps stay as they are, to the last digit and
-/// nanosecond; nothing is interpolated. Poses are those of the body in the world; kapture's inverse is written and read as such. KITTI's rows
-/// have no stamps: they go to NAME_times.txt beside them, and come from the file that --times names. EuRoC's velocities and biases are not
-/// written. kapture is a folder, MCAP a ROS 2 bag with PoseStamped (PoseWithCovarianceStamped where every pose has a covariance).
+/// Reads the same formats as `lsfb eval`, and says what had to be sorted, guessed or left out. Numbers
+/// and stamps are kept to the last digit and nanosecond; nothing is interpolated. Poses are of the body
+/// in the world; kapture's inverse is read and written as such. KITTI rows have no stamps: they are
+/// written to NAME_times.txt, and read from --times. EuRoC's velocities and biases are not written.
+/// kapture is a folder; MCAP is a ROS 2 bag with PoseStamped (PoseWithCovarianceStamped if every pose
+/// has a covariance).
 ///
 /// Examples:
 ///   lsfb convert walk.tum --format kitti --out poses.txt            # and poses_times.txt
@@ -26,25 +28,25 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trajectory: a file, or a folder of kapture, COLMAP or EuRoC.
+    /// Trajectory: a file, or a folder of kapture, COLMAP or EuRoC.
     #[arg(value_name = "TRAJECTORY")]
     trajectory: PathBuf,
-    /// The format of the result.
+    /// Format of the result.
     #[arg(long, value_name = "FORMAT", value_parser = formats())]
     format: TrajectoryFormat,
-    /// The file; for kapture the folder.
+    /// File, or for kapture the folder.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Stamps of a trajectory in KITTI's format, one per line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Unit of the stamps, where the file does not tell: s, ms, us or ns.
+    /// Unit of the stamps, if the file does not tell: s, ms, us or ns.
     #[arg(long, value_name = "UNIT")]
     stamp_unit: Option<StampUnit>,
-    /// Columns of the file, where it does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
+    /// Columns of the file, if it does not name them, as t,x,y,z,qw,qx,qy,qz; - for any other.
     #[arg(long, value_name = "NAMES")]
     columns: Option<Columns>,
-    /// The topic of a recording (of transforms with the frames: /tf:odom.rig) or the device of a kapture file.
+    /// Topic of a recording (for transforms with the frames: /tf:odom.rig), or device of a kapture file.
     #[arg(long, value_name = "NAME")]
     stream: Option<String>,
 }
@@ -102,9 +104,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 fn left_out(written: &Written) -> Option<Finding> {
     let count = written.covariances_left_out;
     (count > 0).then(|| {
-        let what = format!("the format has no place for covariances: {count} were left out");
+        let what = format!("the format cannot hold covariances: {count} were left out");
         Finding::new("covariance", Verdict::Warn, "covariance", what)
             .value(count as f64, "")
-            .remedy("write mcap, or keep the file they were in")
+            .remedy("use mcap, or keep the original file")
     })
 }

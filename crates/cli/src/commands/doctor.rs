@@ -12,11 +12,11 @@ use crate::context::Context;
 use crate::judged;
 use crate::outcome::Outcome;
 
-/// Judge a recording: PASS, WARN or FAIL for the file, each sensor, each clock, and what was lost.
+/// Check a recording: PASS, WARN or FAIL for the file, each sensor, each clock, and lost data.
 ///
-/// Reads the indexes only, which is fast for files of any size, and says what was not checked; --full reads everything and
-/// verifies the checksums. With --host, judges this machine before a recording: limits, permissions, clock, disk, with a remedy
-/// for each problem. Exit code 4: something failed.
+/// Reads only the indexes, which is fast for files of any size, and says what was not checked; --full
+/// reads everything and verifies the checksums. --host checks this machine before a recording (limits,
+/// permissions, clock, disk), with a remedy for each problem. Exit code 4: a check failed.
 ///
 /// Examples:
 ///   lsfb doctor scan.mcap
@@ -25,10 +25,10 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording to judge.
+    /// Recording to check.
     #[arg(value_name = "MCAP", required_unless_present = "host")]
     recording: Option<PathBuf>,
-    /// Judge this machine, and the disk of FOLDER, to which 256 MB are written and removed.
+    /// Check this machine and the disk of FOLDER; 256 MB are written there and removed.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = ".", conflicts_with_all = ["recording", "full", "config"])]
     host: Option<PathBuf>,
     /// Read every byte and verify the checksums.

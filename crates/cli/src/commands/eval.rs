@@ -19,13 +19,15 @@ use crate::outcome::Outcome;
 
 /// Evaluate a trajectory against ground truth: absolute and relative errors, recall, smoothness.
 ///
-/// Reads the trajectories of any program: TUM text, positions (t x y z), EuRoC csv, KITTI poses, any table with a row of names, kapture,
-/// COLMAP's models, and poses in MCAP recordings. Unsorted and repeated stamps are sorted and counted. Stamps may be in any unit. KITTI's
-/// files carry no time: row n is at n seconds unless --estimate-times and --truth-times are given.
+/// Reads the trajectories of any program: TUM text, positions (t x y z), EuRoC csv, KITTI poses, any
+/// table with column names, kapture, COLMAP models, and poses in MCAP recordings. Unsorted stamps are
+/// sorted, repeated ones counted; they may be in any unit. KITTI files have no stamps: row n is at n
+/// seconds unless --estimate-times and --truth-times are given.
 ///
-/// Relative errors per metre and angle are of the pairs that evo takes (pairs_from_delta): each ends at the first pose that is --rpe-delta away or
-/// further, so that where poses are missing or sparse pairs are longer, which is warned of. Those per second are of pairs up to a fifth longer than
-/// said; pairs across gaps are left out and counted. --rpe-all-pairs takes pairs within a tenth of the delta alone.
+/// Relative errors per distance and angle use the pairs of evo (pairs_from_delta): each pair ends at
+/// the first pose that is at least --rpe-delta away, so that pairs are longer where poses are sparse or
+/// missing (with a warning). Pairs per second may be up to a fifth longer; pairs across gaps are left
+/// out and counted. --rpe-all-pairs uses only pairs within a tenth of the delta.
 ///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
@@ -35,25 +37,27 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trajectory to evaluate.
+    /// Trajectory to evaluate.
     #[arg(value_name = "TRAJECTORY")]
     estimate: PathBuf,
-    /// The ground truth.
+    /// Ground truth.
     #[arg(long, value_name = "TRAJECTORY")]
     truth: PathBuf,
     /// Stamps of an estimate in KITTI's format, one per line.
     #[arg(long, value_name = "FILE")]
     estimate_times: Option<PathBuf>,
-    /// Stamps of a ground truth in KITTI's format, likewise.
+    /// Stamps of a ground truth in KITTI's format, one per line.
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
-    /// How the estimate is aligned to the ground truth before errors are computed; yaw turns about the vertical z axis alone.
+    /// How the estimate is aligned to the ground truth before errors are computed; yaw rotates about the
+    /// vertical z axis only.
     #[arg(long, value_name = "MODE", default_value = AlignmentMode::Se3.key(), value_parser = one_of(&AlignmentMode::NAMED, AlignmentMode::key))]
     align: AlignmentMode,
     /// Largest difference between the stamps of matched poses.
     #[arg(long, default_value_t = 0.01, value_name = "SECS")]
     max_difference_secs: f64,
-    /// Distance between the two poses of a relative error, in the unit of --rpe-unit; 1 m and 1 s where it is not given.
+    /// Distance between the two poses of a relative error, in the unit of --rpe-unit; by default both 1 m
+    /// and 1 s.
     #[arg(long, value_name = "NUMBER")]
     rpe_delta: Option<f64>,
     /// Unit of --rpe-delta.
@@ -65,22 +69,23 @@ pub struct Arguments {
     /// Also write a page with plots and a 3D view.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
-    /// Unit of the estimate's stamps, where the file does not tell: s, ms, us or ns.
+    /// Unit of the estimate's stamps, if the file does not tell: s, ms, us or ns.
     #[arg(long, value_name = "UNIT")]
     estimate_stamp_unit: Option<StampUnit>,
-    /// Unit of the ground truth's stamps, likewise.
+    /// Unit of the ground truth's stamps: s, ms, us or ns.
     #[arg(long, value_name = "UNIT")]
     truth_stamp_unit: Option<StampUnit>,
-    /// Columns of the estimate, where the file does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
+    /// Columns of the estimate, if the file does not name them, as t,x,y,z,qw,qx,qy,qz; - for any other.
     #[arg(long, value_name = "NAMES")]
     estimate_columns: Option<Columns>,
-    /// Columns of the ground truth, likewise.
+    /// Columns of the ground truth, as for --estimate-columns.
     #[arg(long, value_name = "NAMES")]
     truth_columns: Option<Columns>,
-    /// The topic of a recording (of transforms with the frames: /tf:odom.rig) or the device of a kapture file that holds the estimate.
+    /// Topic of a recording (for transforms with the frames: /tf:odom.rig), or device of a kapture file,
+    /// with the estimate.
     #[arg(long, value_name = "NAME")]
     estimate_stream: Option<String>,
-    /// The topic or the device that holds the ground truth.
+    /// Topic or device with the ground truth.
     #[arg(long, value_name = "NAME")]
     truth_stream: Option<String>,
 }
@@ -245,7 +250,7 @@ fn shaking(e: &Evaluation) -> String {
         let longest = e.relocalizations.iter().map(|r| r.gap_secs);
         let worst = e.relocalizations.iter().filter_map(|r| r.error_change_m);
         out += &format!(
-            "\ncame back {} after up to {:.2} s; the error grew by up to {:.3} m",
+            "\nrelocalized {} after gaps of up to {:.2} s; the error grew by up to {:.3} m",
             match e.relocalizations.len() {
                 1 => "once".to_owned(),
                 n => format!("{n} times"),
@@ -255,7 +260,7 @@ fn shaking(e: &Evaluation) -> String {
         );
     }
     out + &format!(
-        "\nlongest gap {:.2} s, begins {:.2} s after the truth, ends {:.2} s before it",
+        "\nlongest gap {:.2} s, starts {:.2} s after the truth, ends {:.2} s before it",
         e.coverage.longest_gap_secs, e.coverage.initialisation_secs, e.coverage.missing_end_secs
     )
 }

@@ -28,47 +28,22 @@ use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
 ///
-/// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns. Most of an
-/// attitude's is how far the cameras may be turned against the rig file: what its calibration found (lsfb calib writes it into the rig file,
-/// cameras.NAME.sigmas), or extrinsics_sigma_rad, 2 mrad, where it does not say.
+/// Poses that are uncertain, or that move when parts of the map are withheld, are left out; the exit
+/// code is then 3 and the findings say why. Exit code 4: do not use the trajectory, because the map's
+/// scale differs from the IMU's by more than 5 % (map-scale), images and IMU agree only with IMU errors
+/// above 12 σ (imu-errors), a camera is more than 10 σ off the rig file (camera-off), or the barometer
+/// puts part of the walk on another floor (barometer).
 ///
-/// WALK_states.csv has poses, velocities, biases and turn rates at the IMU's rate, in EuRoC's columns, and gravity. WALK_states.mcap, a ROS 2
-/// bag, has the same, and the poses of the images with their covariance: /pose, /imu_rate/pose, velocity, turn_rate and biases, /gravity.
+/// The finding place-not-checked says for how long the place could not be told from one built alike;
+/// looks-alike warns of a walk that fits nearly as well elsewhere. Trust those poses only if there is
+/// no such place.
 ///
-/// What is not certain, or lies elsewhere when parts of the map are withheld, is left out: then the exit code is 3, and the findings say
-/// why. WALK_cross_check.txt has, for each pose, how far half of the map's points move it.
+/// Written beside WALK.tum: WALK_covariance.txt (poses with covariance, for `lsfb eval`),
+/// WALK_states.csv and WALK_states.mcap (states at the IMU's rate), WALK_cross_check.txt. All files and
+/// findings are explained in docs/groundtruth.md.
 ///
-/// Points of the map that the walk must see are looked for: where many are not there, the place is another or has changed, and its poses are
-/// left out. Far beside the scanner's path few points are certain to be in view; the finding place-not-checked then says for how long the
-/// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
-///
-/// Some images are looked for where they are not said to be, too: a walk that fits the map nearly as well somewhere else (the other end of a
-/// corridor, the next bay) is refused below min_place_margin, and warned of below twice (looks-alike), unless what the map has there is not
-/// seen. Where that holds of the place at which most images were found, and not of the other, the walk is solved at the other.
-///
-/// The IMU measures lengths and the vertical: a map of another scale, or one that leans, is told by it (map-scale, map-level), as far as the
-/// accelerometer is calibrated; beyond 5 % the exit code is 4. So it is where images and IMU would only agree if the IMU were more than 12
-/// standard deviations from calibrated ones (imu-errors), or a camera more than 10 from its rig file (camera-off): images are late or another
-/// camera's, or axes are wrong, and the walk is bent.
-///
-/// Observations are chosen and everything is solved in turns until neither changes the other, six times at most; where they still do, not-at-rest
-/// says how many observations, and how far the last turn moved poses.
-///
-/// A walk that was recorded without an IMU is placed by its images alone, and the finding without-imu says so: lengths and the vertical are the
-/// map's then, nothing checks them, and there are poses only where enough of the map is in view.
-///
-/// The pressure that a phone's barometer measured must change with the height (finding barometer; beyond 1.8 m the exit code is 4: a stretch is on
-/// another floor than it seems). Whoever walked there before with a trajectory that is right can make a table of what is heard where
-/// (`lsfb dataset radio`): with --radio a walk that did not hear the same is refused, as one on another floor that looks alike.
-///
-/// Walks that went by the same places can be solved together (--with): what two of them see, points of the map and others, is one point then, so
-/// that devices lie to each other as they did better than by the map alone (finding together). Each is solved and judged by itself first, and one
-/// that is refused then, or is not to be used (exit code 4), is refused here, also where it would be found elsewhere by itself; so is one whose
-/// barometer or radio says that it was elsewhere. Settings, and the weights of a map of learned features, are the same for all. Of each other
-/// walk OTHER.mcap the same files are written as of the first: WALK_with_OTHER.tum and what belongs to it. The page is the first's.
-///
-/// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again. Stopped, the same
-/// command goes on behind the images that it had localized: what is known of them is kept in WALK.tum.unfinished until then.
+/// A trajectory that is up to date is not computed again; an interrupted run resumes after the images
+/// that it had localized.
 ///
 /// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
@@ -78,28 +53,28 @@ use crate::standing;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording of a walk with a phone or glasses.
+    /// Recording of a walk with a phone or glasses.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The map, a folder.
+    /// HD map (folder).
     #[arg(long, value_name = "FOLDER")]
     map: PathBuf,
-    /// The trajectory to write, in the map's world frame.
+    /// Trajectory to write, in the map's world frame.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Also write a page: the trajectory in the map, its standard deviations over time, what was left out and why. Of a walk that is refused
-    /// there is none.
+    /// Also write a page: the trajectory in the map, its standard deviations over time, what was left out
+    /// and why. Not written for a walk that is refused.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
-    /// Another walk through the map, of another device say, that is solved together with this one; may be given several times. Its trajectory is
-    /// written beside this one's.
+    /// Another walk through the same map, for example of another device, to solve together with this one;
+    /// may be repeated. Its trajectory goes beside this one's, as WALK_with_OTHER.tum.
     #[arg(long, value_name = "MCAP")]
     with: Vec<PathBuf>,
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Readings of Wi-Fi and Bluetooth of other walks at their places in this map, a table of `lsfb dataset radio`: the walk must have heard the
-    /// same where it was.
+    /// Wi-Fi and Bluetooth readings of other walks in this map, a table of `lsfb dataset radio`. A walk
+    /// that did not receive the same signals where it was is refused.
     #[arg(long, value_name = "CSV")]
     radio: Option<PathBuf>,
     #[command(flatten)]
@@ -124,7 +99,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let is_same = |path: &&Path| files::is_same(path, other) || files::is_copy(path, other);
         if let Some(same) = read.iter().find(|path| is_same(path)) {
             bail!(
-                "{}: --with takes other walks, each once, and this is {}: one with itself says nothing new",
+                "{}: --with takes other walks, each once, but this is {}: solving a walk with itself adds nothing",
                 other.display(),
                 same.display()
             );
@@ -156,7 +131,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 /// How much of a walk was solved.
 fn poses_of(trajectory: &Path, r: &GroundTruthReport) -> String {
     format!(
-        "{}: {} poses, {} of {} frames that were looked up localized, {} bridged, reprojection {:.3} px rms\n",
+        "{}: {} poses, {} of {} query frames localized, {} bridged, reprojection {:.3} px rms\n",
         trajectory.display(),
         r.poses,
         r.localized,

@@ -41,7 +41,7 @@ impl WalkPage<'_> {
         });
         let tracks = vec![
             track("trajectory", found.trajectory.poses().to_vec()),
-            track("visual localization alone", alone.collect()),
+            track("visual localization only", alone.collect()),
         ];
         let mut timelines = vec![clock.outcome(found)];
         timelines.extend(clock.certainty(found));
@@ -126,7 +126,7 @@ impl Clock {
         };
         let poses = found.trajectory.poses().iter();
         Timeline {
-            title: "Localized, given and left out".to_owned(),
+            title: "Localized, exported and left out".to_owned(),
             upward: Upward::Rows(NAMES.map(str::to_owned).to_vec()),
             secs: [0.0, self.end_secs],
             marks: vec![
@@ -149,7 +149,7 @@ impl Clock {
     fn certainty(&self, found: &GroundTruth) -> [Timeline; 2] {
         let sigmas = found.worst_sigmas();
         let of = |k: usize, factor: f64| sigmas.iter().map(|s| factor * s[k]).collect();
-        let name = "in the direction known worst";
+        let name = "in the worst direction";
         [
             self.of_poses(
                 found,
@@ -171,8 +171,8 @@ impl Clock {
         let moved_mm = found.disagreements_m.iter().map(|m| 1e3 * m);
         self.of_poses(
             found,
-            ("Halves of the map against each other", "moved", "mm"),
-            "position, half of the map's points withheld",
+            ("Agreement between halves of the map", "moved", "mm"),
+            "position change, half of the map's points withheld",
             moved_mm.collect(),
         )
     }
@@ -216,13 +216,9 @@ impl Clock {
         let apart = accepted
             .filter_map(|l| Some([self.secs(l.time), apart_m(l, &found.trajectory)? * 1e3]));
         self.of_points(
-            (
-                "Localization of single images against the trajectory",
-                "apart",
-                "mm",
-            ),
+            ("Single-image localization vs. trajectory", "apart", "mm"),
             Marks {
-                name: "instants that agree".to_owned(),
+                name: "frames that agree".to_owned(),
                 points: apart.collect(),
                 is_line: false,
             },
@@ -248,14 +244,14 @@ fn figures(found: &GroundTruth) -> Vec<Figure> {
     let mut figures = vec![
         count("frames", report.frames),
         count("poses", report.poses),
-        count("poses carried by IMU and local points", report.bridged),
-        count("instants localized", report.localized),
+        count("poses from IMU and local points only", report.bridged),
+        count("frames localized", report.localized),
         count("localizations rejected", report.rejected_localizations),
-        Figure::new("length of the path", report.path_length_m, "m"),
-        Figure::new("σ of a position, largest", 1e3 * largest(1), "mm"),
-        Figure::new("σ of an attitude, largest", largest(0).to_degrees(), "°"),
+        Figure::new("path length", report.path_length_m, "m"),
+        Figure::new("position σ, max", 1e3 * largest(1), "mm"),
+        Figure::new("attitude σ, max", largest(0).to_degrees(), "°"),
         Figure::new(
-            "halves of the map move a position by at most",
+            "position change between halves of the map, max",
             1e3 * report.largest_disagreement_m,
             "mm",
         ),
@@ -271,13 +267,13 @@ fn figures(found: &GroundTruth) -> Vec<Figure> {
             "px",
         ),
         count("observations of local points", report.local_errors.count),
-        count("observations not used", report.outliers),
+        count("unused observations", report.outliers),
         count("map points that should be in view", report.points_in_view),
         Figure::new("of these absent", 100.0 * report.absent_share, "%"),
     ];
     if let Some(scale) = report.map.and_then(|map| map.scale) {
         figures.push(Figure::new(
-            "map larger than the IMU has it by",
+            "map scale relative to the IMU",
             scale.too_large_percent,
             "%",
         ));
@@ -330,15 +326,15 @@ fn cameras(cameras: &[CameraRefinement]) -> Table {
         ]
     });
     Table {
-        title: "Cameras against the rig file".to_owned(),
+        title: "Cameras relative to the rig file".to_owned(),
         head: words([
             "camera",
-            "turned about x, y, z, °",
-            "shifted along x, y, z, mm",
+            "rotation about x, y, z, °",
+            "translation along x, y, z, mm",
             "focal length, %",
             "clock, ms",
             "readout, ms",
-            "largest, σ of the rig file",
+            "largest, in σ of the rig file",
         ]),
         rows: rows.collect(),
     }
@@ -347,54 +343,42 @@ fn cameras(cameras: &[CameraRefinement]) -> Table {
 fn imu(imu: Option<&ImuRefinement>) -> Table {
     let rows = imu.map(|imu| {
         [
+            ("gyroscope scale, x, y, z, %", axes(&imu.gyro_scale, 1e2, 2)),
+            ("accelerometer scale, %", axes(&imu.accel_scale, 1e2, 2)),
             (
-                "scale of the gyroscope, x, y, z, %",
-                axes(&imu.gyro_scale, 1e2, 2),
-            ),
-            (
-                "scale of the accelerometer, %",
-                axes(&imu.accel_scale, 1e2, 2),
-            ),
-            (
-                "shear of the gyroscope, yz, xz, xy, %",
+                "gyroscope shear, yz, xz, xy, %",
                 axes(&imu.gyro_shear, 1e2, 2),
             ),
+            ("accelerometer shear, %", axes(&imu.accel_shear, 1e2, 2)),
             (
-                "shear of the accelerometer, %",
-                axes(&imu.accel_shear, 1e2, 2),
-            ),
-            (
-                "accelerometer turned on the gyroscope, °",
+                "rotation of accelerometer relative to gyroscope, °",
                 axes(&imu.accel_turn_deg, 1.0, 3),
             ),
             (
-                "accelerometer later than the gyroscope, ms",
+                "delay of accelerometer relative to gyroscope, ms",
                 format!("{:+.2}", 1e3 * imu.accel_delay_s).replace('-', "−"),
             ),
+            ("measured gravity, m/s²", format!("{:.3}", imu.gravity_m_s2)),
             (
-                "gravity that it feels, m/s²",
-                format!("{:.3}", imu.gravity_m_s2),
-            ),
-            (
-                "largest of these errors, σ of the settings",
+                "largest of these errors, in σ of the settings",
                 format!("{:.1}", imu.imu_error_sigmas),
             ),
             (
-                "largest change of a bias, gyroscope and accelerometer, σ of what its noise allows",
+                "largest bias change, gyroscope and accelerometer, in σ of its noise",
                 format!(
                     "{:.1}, {:.1}",
                     imu.bias_wander.gyro.sigmas, imu.bias_wander.accel.sigmas
                 ),
             ),
             (
-                "images and IMU differ by, σ of its noise",
+                "difference of images and IMU, in σ of its noise",
                 format!("{:.2}", imu.imu_left_sigmas),
             ),
         ]
     });
     let rows = rows.into_iter().flatten();
     Table {
-        title: "Errors of the IMU, which the trajectory is computed without".to_owned(),
+        title: "IMU errors (corrected in the trajectory)".to_owned(),
         head: words(["", "found"]),
         rows: rows
             .map(|(name, value)| vec![name.to_owned(), value])

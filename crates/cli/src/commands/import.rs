@@ -15,12 +15,14 @@ use crate::judged::{Judged, printable, problem_lines};
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
-/// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
-/// StrayScanner, MARSLogger, VideoIMUCapture, Spectacular Rec, kapture, sessions of LaMAR, VRS files of Project Aria.
+/// Convert a recording of another program or phone app.
 ///
-/// The format is recognised by its content. Every record is counted; what has no place in a recording is listed; ground truth and
-/// trajectories stay beside it. Stamps are the device's own: such a recording says nothing about its clock. Videos need the system's
-/// `ffmpeg`. What its IMU measured is judged as by `lsfb doctor`, and written as it is. Exit code 3: records could not be read.
+/// Reads EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger, StrayScanner, MARSLogger,
+/// VideoIMUCapture, Spectacular Rec, kapture, LaMAR sessions, and VRS files of Project Aria. The format
+/// is detected from the content. Every record is counted, and anything that a recording cannot hold is
+/// listed; ground truth and trajectories stay beside it. Stamps are the device's own, so that such a
+/// recording says nothing about its clock. Videos need `ffmpeg` on this system. The IMU data is checked
+/// as by `lsfb doctor`, and written unchanged. Exit code 3: records could not be read.
 ///
 /// Examples:
 ///   lsfb import mav0 --out walk.mcap
@@ -29,22 +31,23 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording of the other program.
+    /// Recording of the other program.
     #[arg(value_name = "FILE_OR_FOLDER")]
     source: PathBuf,
-    /// The new recording.
+    /// Recording to write.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Format of the source; by default it is recognised.
+    /// Format of the source; detected by default.
     #[arg(long, value_name = "FORMAT", value_parser = one_of(&Format::ALL, Format::name))]
     format: Option<Format>,
     /// Name of the device in the topics, `/sidecar/NAME/…`: letters, digits, `-` and `_`.
     #[arg(long, value_name = "NAME", default_value = "phone", value_parser = device_name)]
     device: String,
-    /// Unit of the stamps where the format leaves it open (kapture, LaMAR); by default it is told by their size.
+    /// Unit of the stamps, if the format leaves it open (kapture, LaMAR); by default inferred from their
+    /// magnitude.
     #[arg(long, value_name = "UNIT", value_parser = one_of(&StampUnit::ALL, StampUnit::sign))]
     stamp_unit: Option<StampUnit>,
-    /// The device's rig to attach, instead of the calibration that comes with the source.
+    /// Rig of the device to attach, instead of the calibration in the source.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
 }
@@ -61,7 +64,7 @@ fn device_name(text: &str) -> Result<String, String> {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     expect_file(
         &arguments.source,
-        "name a file or folder of another program",
+        "give a file or folder of another program",
     )?;
     context.claim(&arguments.out, &[&arguments.source])?;
     let config = ImportConfig {
@@ -98,8 +101,8 @@ fn text(report: &ImportReport) -> String {
         report.device,
         report.duration_secs,
         match report.clock.name() {
-            "utc" => "of the time of day, by the device's own clock",
-            _ => "since a zero of the device's own",
+            "utc" => "in time of day, from the device's own clock",
+            _ => "relative to an arbitrary zero of the device",
         },
     );
     for count in &report.records {
@@ -120,14 +123,14 @@ fn text(report: &ImportReport) -> String {
     }
     out.push_str(match report.has_rig {
         true => "  rig attached\n",
-        false => "  no rig: give one with --rig before images are used\n",
+        false => "  no rig: give one with --rig before using images\n",
     });
     out
 }
 
 fn line(count: &RecordCount) -> String {
     let made = match count.derived {
-        true => "made of other records".to_owned(),
+        true => "made from other records".to_owned(),
         false => format!("{} read", count.read),
     };
     let mut line = format!(

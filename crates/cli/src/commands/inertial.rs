@@ -25,9 +25,9 @@ pub(super) fn inertial_samples(
     }
     if damaged > 0 {
         context.lose_data();
-        let what = format!("{damaged} inertial samples cannot be read and were left out");
+        let what = format!("{damaged} IMU samples cannot be read and were left out");
         let found = Finding::new("damaged", Verdict::Warn, name_of(path), what);
-        findings.push(found.remedy("look at the recording with lsfb doctor --full"));
+        findings.push(found.remedy("check the recording with lsfb doctor --full"));
     }
     Ok(samples)
 }
@@ -56,7 +56,7 @@ pub(super) fn ordered_samples(
             .collect(),
     };
     if samples.windows(2).any(|w| w[1].time < w[0].time) {
-        let what = "inertial samples go back in time; they were sorted";
+        let what = "IMU samples go back in time; they were sorted";
         findings.push(Finding::new(
             "unsorted-stamps",
             Verdict::Warn,

@@ -26,11 +26,10 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::standing;
 
-/// Build an HD map from a scanner's recording, or from images with known poses; inspect, export, crop or merge maps.
+/// Build an HD map from a recording or posed images; inspect, export, crop or merge maps.
 ///
-/// An existing map, built by this program from the same recording with the same settings, is not built again, and one that was stopped
-/// goes on where it was: what is finished of it is kept in OUT.unfinished until then. The poses of images
-/// may be in any unit of length; the map keeps it.
+/// A map that is up to date is not built again, and an interrupted run resumes from OUT.unfinished.
+/// Poses of images may be in any unit of length; the map keeps it.
 ///
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
@@ -58,54 +57,58 @@ pub struct Arguments {
 
 #[derive(clap::Args)]
 struct BuildArguments {
-    /// The scanner's recording.
+    /// Recording of the scanner.
     #[arg(
         value_name = "MCAP",
         required_unless_present = "posed_images",
         conflicts_with = "posed_images"
     )]
     recording: Option<PathBuf>,
-    /// Images with known poses: a folder with nerfstudio's transforms.json; a kapture; a project or model of COLMAP; a folder with K.txt,
-    /// poses_T_world_cam_rowmajor4x4.txt and images/; a sequence of 7-Scenes; or a scene of Strecha's.
+    /// Images with known poses: a folder with nerfstudio's transforms.json; a kapture; a COLMAP project or
+    /// model; a folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/; a 7-Scenes sequence; or a
+    /// Strecha scene.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
-    /// Start Eq. 4 from this trajectory of the rig, of another program's SLAM, instead of the odometry.
+    /// Start Eq. 4 from this trajectory of the rig, made by another SLAM system, instead of from the
+    /// odometry.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     trajectory: Option<PathBuf>,
-    /// Take planes and edges from the scans that `lsfb odometry --out-clouds` stored of this recording.
+    /// Take planes and edges from the scans of this recording that `lsfb odometry --out-clouds` stored.
     #[arg(long, value_name = "MCAP", conflicts_with = "posed_images")]
     stored_clouds: Option<PathBuf>,
-    /// Clicks on marks in its images, as `lsfb map distances` takes them: their distances become part of verdict and page.
+    /// Clicks on marks in the recording's images, as for `lsfb map distances`; the distances between them
+    /// become part of the verdict and the page.
     #[arg(long, value_name = "CSV", conflicts_with = "posed_images")]
     marks: Option<PathBuf>,
-    /// What was measured between those marks.
+    /// Tape measurements between those marks.
     #[arg(long, value_name = "SURVEY", requires = "marks")]
     survey: Option<PathBuf>,
-    /// Surveyed places of some of those marks, three or more that are not on one line: lines of mark,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m (or one sigma_m) in metres,
-    /// z upwards. Those that agree hold the map, and it and its trajectory are in their frame.
+    /// Surveyed coordinates of at least three of those marks, not all on one line: lines of
+    /// mark,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m (or a single sigma_m) in metres, z up. The map is
+    /// fixed to those that agree, and it and its trajectory are then in their frame.
     #[arg(long, value_name = "CSV", requires = "marks")]
     control_points: Option<PathBuf>,
     /// Hold out every n-th of those images, to localize them later.
     #[arg(long, value_name = "N", requires = "posed_images", value_parser = clap::value_parser!(u32).range(2..))]
     holdout_every: Option<u32>,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
     /// Also write the scanner's trajectory.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     out_trajectory: Option<PathBuf>,
-    /// Also write a page: residuals before and after Eq. 4, coverage, weak stretches.
+    /// Also write a page: residuals before and after Eq. 4, coverage, weakly covered stretches.
     #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
     out_report: Option<PathBuf>,
-    /// What features the map holds: sift (the default), or a network whose weights were added with `lsfb models add`: aliked-t16 is
+    /// Features of the map: sift (the default), or a network added with `lsfb models add`; aliked-t16 is
     /// recommended, aliked-n16rot for cameras that roll (docs/features.md).
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
-    /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.
+    /// Folder of model weights; by default $LSFB_MODELS, otherwise lsfb/models in $XDG_DATA_HOME.
     // No flattened struct: with one inside, this optional struct would never be there.
     #[arg(long, value_name = "FOLDER")]
     models: Option<PathBuf>,
-    /// Settings instead of the defaults; `lsfb map --help` names them.
+    /// Settings instead of the defaults; `lsfb map --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
@@ -372,7 +375,7 @@ fn from_posed_images(
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
-    super::expect_file(folder, "name a folder of posed images")?;
+    super::expect_file(folder, "give a folder of posed images")?;
     context.claim(&arguments.out, &[])?;
     let posed =
         PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0) as usize);
@@ -431,14 +434,15 @@ fn cameras(map: &HdMap) -> Vec<Finding> {
         let [stated_px, found_px] = [stated, found].map(|c| c.camera.focal_px()[0]);
         let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
         let what = format!(
-            "its focal length is {found_px:.1} px as the images show it, {stated_px:.1} px as the list says; turned by {:.2}°, shifted by {:.3} (in \
-             the unit of the poses): the map has it as the images show it",
+            "its focal length is {found_px:.1} px according to the images, {stated_px:.1} px \
+             according to the list; rotated by {:.2}°, shifted by {:.3} (in the unit of the poses): \
+             the map uses the values from the images",
             moved.rotation.angle().to_degrees(),
             moved.translation.norm()
         );
         let finding = Finding::new("camera-differs", Verdict::Warn, name, what)
             .value(100.0 * (found_px / stated_px - 1.0), "%")
-            .remedy("calibrate it; refine_cameras = false in --config takes it as the list says");
+            .remedy("calibrate it; refine_cameras = false in --config uses the values of the list");
         Some(finding)
     });
     found.collect()

@@ -15,9 +15,9 @@ pub fn figures(report: &ControlReport) -> Vec<Figure> {
     let [before_m, after_m] = report.rms_m();
     let held = report.marks.iter().filter(|mark| mark.holds).count();
     vec![
-        Figure::new("control points that agree", held as f64, ""),
-        mm("control points off before, rms", before_m),
-        mm("control points off, rms", after_m),
+        Figure::new("control points used", held as f64, ""),
+        mm("control point error before, rms", before_m),
+        mm("control point error, rms", after_m),
     ]
 }
 
@@ -56,7 +56,7 @@ pub fn of_site(site: &SiteFrame) -> String {
         false => format!(" less ({x}, {y}, {z}) m"),
     };
     format!(
-        "in the surveyed frame{shift}, held by {} control points: {}",
+        "in the surveyed frame{shift}, from {} control points: {}",
         site.control_points.len(),
         site.control_points.join(", ")
     )

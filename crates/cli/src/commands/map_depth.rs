@@ -14,15 +14,17 @@ use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
-/// Depth and normals of images, from what the scanner's LiDAR saw.
+/// Render depth and normal images from the scanner's LiDAR.
 ///
-/// For each pose and camera OUT/depth/CAMERA/NANOSECONDS.png has 16 bits a pixel, the distance along the optical axis in millimetres,
-/// and OUT/normals/CAMERA/NANOSECONDS.png the normal in the camera's frame, (n + 1) · 127.5 in red, green and blue. Zero: not
-/// certain. That is what no scan saw, what lies on no plane (plants, people), what is hidden by such things, and a few centimetres beside
-/// each outline. Images are taken at one instant: a rolling shutter is not followed.
+/// For each pose and camera: OUT/depth/CAMERA/NANOSECONDS.png (16 bits, distance along the optical axis
+/// in millimetres) and OUT/normals/CAMERA/NANOSECONDS.png (normal in the camera frame, (n + 1) · 127.5
+/// in red, green, blue). Zero means uncertain: not scanned, not on a plane (plants, people), hidden by
+/// such objects, or within a few centimetres of an outline. All pixels have the time of the pose:
+/// rolling shutter is not modelled.
 ///
-/// Scans must agree at the poses of the trajectory: where beams end behind what other scans saw, or walls are smeared, it is of another walk or
-/// clock, and no image is written (exit code 4).
+/// If the scans disagree at the poses of the trajectory (beams end behind surfaces that other scans
+/// saw, walls are smeared), the trajectory belongs to another walk or clock: no image is written, and
+/// the exit code is 4.
 ///
 /// Examples:
 ///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
@@ -30,19 +32,19 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct DepthArguments {
-    /// The scanner's recording.
+    /// Recording of the scanner.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The scanner's trajectory in the map, as `lsfb map --out-trajectory` wrote it.
+    /// Trajectory of the scanner in the map, from `lsfb map --out-trajectory`.
     #[arg(long, value_name = "TUM")]
     trajectory: PathBuf,
-    /// Poses in the map of the rig that carries the cameras, one for each image; by default the scanner's.
+    /// Poses, in the map, of the rig that carries the cameras, one per image; by default the scanner's.
     #[arg(long, value_name = "TUM")]
     poses: Option<PathBuf>,
-    /// The rig that carries the cameras; by default the scanner's.
+    /// Rig that carries the cameras; by default the scanner's.
     #[arg(long, value_name = "TOML", requires = "poses")]
     rig: Option<PathBuf>,
-    /// Camera to use, once for each; by default all of the rig's.
+    /// Camera to use, once for each; by default all cameras of the rig.
     #[arg(long = "camera", value_name = "NAME")]
     cameras: Vec<String>,
     /// Use only every n-th pose.
@@ -51,7 +53,7 @@ pub struct DepthArguments {
     /// Folder to write to.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map depth --help` names them.
+    /// Settings instead of the defaults; `lsfb map depth --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
@@ -112,7 +114,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     let blind = shares.iter().filter(|share| **share == 0.0).count();
     anyhow::ensure!(
         blind < shares.len(),
-        "none of {} images shows anything of the surface: give poses in the world of {}",
+        "none of {} images shows any of the surface: give poses in the world frame of {}",
         shares.len(),
         arguments.trajectory.display()
     );
@@ -128,7 +130,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     let judged = Judged::new(&judgement, &name, &summary);
     context.print(&judged, || {
         let made = format!(
-            "{}: {} images, {blind} of them without any depth; {:.0} % of the pixels of half of them have one, {:.0} % of 95 % of them; from {scans} scans",
+            "{}: {} images, {blind} without any depth; {:.0} % of the pixels have depth in half of the images, {:.0} % in 95 % of them; from {scans} scans",
             arguments.out.display(),
             shares.len(),
             100.0 * half,

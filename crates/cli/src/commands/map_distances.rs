@@ -29,14 +29,15 @@ const SAME_DEG: f64 = 0.1;
 /// Lines that a reader still reads; `--json` has all.
 const MOST_LINES: usize = 60;
 
-/// Distances between marks that somebody clicked in images of a map, and how far they are from what a tape says.
+/// Compare distances between marked points with tape measurements.
 ///
-/// The clicks are lines of mark,camera,time_ns,u_px,v_px: a name, the camera, the stamp of the image in nanoseconds (`lsfb map export` names images so)
-/// and the pixel. Three or more images a mark; they may be any within --trajectory, without it those of keyframes. What was measured is a survey, as
-/// `lsfb survey` reads it: distance A B METRES, with its σ behind it where it is known. `lsfb sim` writes both of its scan: marks.csv and
-/// truth/truth_marks.survey.
+/// Clicks are lines of mark,camera,time_ns,u_px,v_px: name of the mark, camera, stamp of the image in
+/// nanoseconds (its file name in `lsfb map export`), and pixel. Click each mark in three or more
+/// images: any images with --trajectory, keyframes only without it. The measurements are a survey as
+/// for `lsfb survey`: distance A B METRES, followed by σ if known. `lsfb sim` writes both for its scan:
+/// marks.csv and truth/truth_marks.survey.
 ///
-/// Exit code 4 where the map is off by more than 3 cm on average or 5 cm at most.
+/// Exit code 4: the mean error is above 3 cm, or the largest above 5 cm.
 ///
 /// Examples:
 ///   lsfb map distances map --marks marks.csv --trajectory scan.tum
@@ -47,16 +48,17 @@ pub struct DistancesArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Clicks on marks.
+    /// Clicks on the marks.
     #[arg(long, value_name = "CSV")]
     marks: PathBuf,
-    /// Measured distances between them.
+    /// Tape measurements between the marks.
     #[arg(long, value_name = "SURVEY")]
     survey: Option<PathBuf>,
-    /// The trajectory that `lsfb map --out-trajectory` wrote with the map: poses of images between keyframes. Another is refused.
+    /// Trajectory from `lsfb map --out-trajectory` of this map, for poses of images between keyframes; any
+    /// other is refused.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// How well was clicked, pixels in each direction, 1 σ; where the clicks scatter more, that is taken.
+    /// Standard deviation of a click, in pixels; the observed scatter is used if larger.
     #[arg(long, value_name = "PX", default_value_t = MarkConfig::default().click_sigma_px)]
     click_sigma_px: f64,
     /// Also write a page.
@@ -159,7 +161,7 @@ impl MarkedDistances {
             let finding = warn(
                 "mark-unplaced",
                 &mark.name,
-                format!("has no place: {}", mark.reason),
+                format!("could not be placed: {}", mark.reason),
             );
             findings.push(
                 finding.remedy("click it again, in three images or more, from several sides"),
@@ -168,17 +170,16 @@ impl MarkedDistances {
         for mark in &self.placed.marks {
             if mark.left_out > 0 {
                 let what = format!(
-                    "{} of its {} clicks are not where the others have it, and are left out",
+                    "{} of its {} clicks disagree with the others and are not used",
                     mark.left_out,
                     mark.left_out + mark.clicks
                 );
-                findings
-                    .push(warn("mark-clicks", &mark.name, what).remedy(
-                        "click it again there; if the clicks stand, the map is bent there",
-                    ));
+                findings.push(warn("mark-clicks", &mark.name, what).remedy(
+                    "check the clicks in those images; if they are right, the map is bent there",
+                ));
             }
             if !mark.is_checked() {
-                let what = "stands on two clicks: a wrong one would not be seen".to_owned();
+                let what = "has only two clicks: a wrong one would not be noticed".to_owned();
                 findings.push(
                     warn("mark-unchecked", &mark.name, what).remedy("click it in a third image"),
                 );
@@ -186,7 +187,7 @@ impl MarkedDistances {
         }
         if self.placed.clicks_without_pose > 0 {
             let what = format!(
-                "{} clicks are in images whose pose is not known, or of a camera that the map does not have",
+                "{} clicks are in images without a known pose, or of a camera that the map does not have",
                 self.placed.clicks_without_pose
             );
             findings.push(warn("clicks-without-pose", "marks", what).remedy(
@@ -195,7 +196,7 @@ impl MarkedDistances {
         }
         if self.not_in_map > 0 {
             let what = format!(
-                "{} measured distances end at marks without a place",
+                "{} measured distances end at marks that could not be placed",
                 self.not_in_map
             );
             findings.push(warn("distances-open", "marks", what));
@@ -203,7 +204,7 @@ impl MarkedDistances {
         for mark in &self.placed.marks {
             let sigma_m = mark.worst_sigma_m();
             if self.error_m.is_some() && sigma_m > JUDGING_SIGMA_M {
-                let what = format!("is known to {:.1} cm only", 100.0 * sigma_m);
+                let what = format!("standard deviation is {:.1} cm, too large", 100.0 * sigma_m);
                 findings.push(
                     warn("mark-weak", &mark.name, what)
                         .value(sigma_m, "m")
@@ -235,7 +236,7 @@ impl MarkedDistances {
             true => Verdict::Pass,
         };
         let what = format!(
-            "{count} of {all} distances, those told to {:.1} cm or better and not between two control points, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
+            "{count} of {all} distances, those accurate to {:.1} cm or better and not between two control points, off by {:.1} mm on average (limit {:.0}), at most {:.1} mm; {beyond} of all by more than {CHANCE_SIGMAS} σ",
             100.0 * JUDGING_SIGMA_M,
             1e3 * mean_m,
             1e3 * MEAN_M,
@@ -244,7 +245,7 @@ impl MarkedDistances {
         Finding::new("distances", verdict, "marks", what)
             .value(largest_m, "m")
             .limit(Limit::AtMost(LARGEST_M))
-            .remedy("measure the worst distance again; if it stands, the map is bent there")
+            .remedy("measure the worst distance again; if it is right, the map is bent there")
     }
 
     /// For a page.
@@ -252,12 +253,12 @@ impl MarkedDistances {
         let mm = |name: &str, metres: f64| Figure::new(name, 1e3 * metres, "mm");
         let placed = &self.placed;
         let mut figures = vec![
-            Figure::new("marks with a place", placed.marks.len() as f64, ""),
-            Figure::new("scatter of the clicks, 1 σ", placed.click_sigma_px, "px"),
+            Figure::new("placed marks", placed.marks.len() as f64, ""),
+            Figure::new("click scatter, 1 σ", placed.click_sigma_px, "px"),
         ];
         if let Some([mean_m, largest_m]) = self.error_m {
-            figures.push(mm("distances off, mean", mean_m));
-            figures.push(mm("distances off, largest", largest_m));
+            figures.push(mm("distance error, mean", mean_m));
+            figures.push(mm("distance error, max", largest_m));
         }
         figures
     }
@@ -313,7 +314,7 @@ impl MarkedDistances {
             );
         }
         if !self.placed.marks.iter().all(|m| m.with_poses) {
-            out += "how well the poses are known is unknown in this map: σ is that of the clicks alone\n";
+            out += "this map does not have the covariances of its poses: σ is that of the clicks only\n";
         }
         out
     }
@@ -423,7 +424,7 @@ fn check_passes_through(
     });
     anyhow::ensure!(
         far_m <= SAME_M && far_deg <= SAME_DEG,
-        "{}: is not the trajectory of this map: at its keyframes it is up to {:.1} cm and {far_deg:.2}° elsewhere; {WANTED}",
+        "{}: this is not the trajectory of this map: at its keyframes it differs by up to {:.1} cm and {far_deg:.2}°; {WANTED}",
         path.display(),
         100.0 * far_m
     );

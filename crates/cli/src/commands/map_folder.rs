@@ -39,7 +39,9 @@ pub fn written(
 /// How a command ends that makes something else of a map: one that failed when it was made is as wrong in any other form.
 pub fn outcome_of(map: &HdMap, context: &Context) -> Outcome {
     for what in map.failures() {
-        context.say(&format!("the map failed when it was made: {what}"));
+        context.say(&format!(
+            "the map failed its checks when it was made: {what}"
+        ));
     }
     match map.failures().is_empty() {
         true => Outcome::Done,

@@ -15,8 +15,9 @@ use crate::files;
 use crate::outcome::Outcome;
 
 /// What the file of covariances says of itself.
-const WHAT_IS_IN_IT: &str = "Relative to the first keyframe of the map as it was made, which is exact. In it are errors of images and scans that differ from one to the\n\
-     next; errors of the rig file and of a LiDAR that measures all ranges too long are not in it.";
+const WHAT_IS_IN_IT: &str = "Relative to the first keyframe of the original map, which is taken as \
+     exact. Included: errors of images and scans that differ between keyframes.\nNot included: \
+     errors of the rig file and a range offset of the LiDAR.";
 
 /// Standard deviations of the keyframes relative to the first, in the direction in which each is known worst.
 #[derive(Serialize)]
@@ -53,13 +54,13 @@ impl KeyframeSigma {
     pub fn sentence(&self, keyframes: usize) -> String {
         let ([half, most], [half_deg, most_deg]) = (self.position_m, self.rotation_deg);
         let mut text = format!(
-            "σ of a keyframe relative to the first, where it is known worst: median {:.2} cm and {half_deg:.3}°, 95 % below {:.2} cm and {most_deg:.3}°",
+            "σ of a keyframe relative to the first, in the worst direction: median {:.2} cm and {half_deg:.3}°, 95 % below {:.2} cm and {most_deg:.3}°",
             100.0 * half,
             100.0 * most
         );
         let unknown = keyframes.saturating_sub(self.known + 1);
         if unknown > 0 {
-            text += &format!("; of {unknown} it is unknown");
+            text += &format!("; unknown for {unknown}");
         }
         text
     }
@@ -81,12 +82,12 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
     if trajectory.len() < all {
         let twice = all - trajectory.len();
         notes.push(format!(
-            "{twice} of {all} keyframes have a stamp that another has as well, as in merged maps of images without times: keyframes.tum is without them"
+            "{twice} of {all} keyframes share their stamp with another, as in merged maps of images without times: keyframes.tum leaves them out"
         ));
     }
     if known.len() < all {
         notes.push(format!(
-            "of {} of {all} keyframes it is unknown how well they are known, as where poses were given or maps merged",
+            "the covariance of {} of {all} keyframes is unknown, as for given poses or merged maps",
             all - known.len()
         ));
     }

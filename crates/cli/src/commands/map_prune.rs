@@ -11,10 +11,12 @@ use crate::outcome::Outcome;
 /// Bytes of a megabyte, as `lsfb map info` counts them.
 const MB: f64 = 1e6;
 
-/// Prune a map to a size: the descriptors that say the least go first, then the points that its views miss the least.
+/// Prune a map to a given size.
 ///
-/// A size that would leave a view with too few points to be found there is refused, and what is needed is said. How much worse images are
-/// localized afterwards, `lsfb localize` tells: with images that are not in the map, in both maps.
+/// Removes the least informative descriptors first, then the least useful points. A size that would
+/// leave a keyframe with too few points to be localized is refused; the message gives the smallest
+/// possible size. To see what pruning costs, run `lsfb localize` in both maps with images that are not
+/// part of them.
 ///
 /// Examples:
 ///   lsfb map prune map --size-mb 20 --out small-map
@@ -24,13 +26,13 @@ pub struct PruneArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Largest size of what is left, megabytes (1 000 000 bytes).
+    /// Maximum size of the pruned map, in megabytes (1 000 000 bytes).
     #[arg(long, value_name = "MB", value_parser = megabytes)]
     size_mb: f64,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map prune --help` names them.
+    /// Settings instead of the defaults; `lsfb map prune --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
@@ -68,7 +70,7 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
     });
     context.print(&summary, || {
         format!(
-            "{}: {after_mb:.2} of {before_mb:.2} MB; {} of {} points, {} of {} descriptors (at most {} a point)\n  points in a view: median {} of {}, fewest {} of {}",
+            "{}: {after_mb:.2} of {before_mb:.2} MB; {} of {} points, {} of {} descriptors (at most {} per point)\n  points per view: median {} of {}, minimum {} of {}",
             arguments.out.display(),
             report.points[1],
             report.points[0],
@@ -83,7 +85,7 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
     })?;
     anyhow::ensure!(
         after_mb <= arguments.size_mb,
-        "{}: the map became {after_mb:.2} MB: ask for less",
+        "{}: the map became {after_mb:.2} MB: ask for a smaller size",
         arguments.out.display()
     );
     Ok(super::map_folder::outcome_of(&left, context))

@@ -46,7 +46,7 @@ impl MapPage<'_> {
         let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
         let mut findings = findings(self.map, report);
         let mut provenance = vec![Provenance {
-            name: "rounds of Eq. (4)".to_owned(),
+            name: "iterations of Eq. (4)".to_owned(),
             value: rounds(report),
         }];
         provenance.extend(report.control.as_ref().map(|control| Provenance {
@@ -65,7 +65,7 @@ impl MapPage<'_> {
             title: format!("Map of {}", self.name),
             figures: vec![
                 px(
-                    "reprojection before Eq. 4, rms",
+                    "reprojection error before Eq. 4, rms",
                     report.reprojection_rms_before_px,
                 ),
                 px("reprojection, rms", report.reprojection_rms_px),
@@ -77,9 +77,9 @@ impl MapPage<'_> {
                 count("map points", report.points),
                 count("keyframes", report.keyframes),
                 count("observations", report.observations),
-                count("observations left out", report.dropped_observations),
+                count("unused observations", report.dropped_observations),
                 Figure::new(
-                    "observations left out, share",
+                    "unused observations, share",
                     100.0 * report.outlier_share,
                     "%",
                 ),
@@ -167,7 +167,7 @@ impl Coverage {
                 "coverage",
                 Verdict::Pass,
                 "coverage",
-                format!("each of {all} keyframes sees {limit} map points or more"),
+                format!("each of {all} keyframes sees at least {limit} map points"),
             ),
             Some(first) => {
                 let place = first.world_from_rig.translation;
@@ -180,7 +180,7 @@ impl Coverage {
                         place.x, place.y, place.z
                     ),
                 )
-                .remedy("walk there more slowly, with light and texture in view; nothing will be localized there")
+                .remedy("walk there more slowly, with light and texture in view; walks cannot be localized there")
             }
         }
         .value(weak as f64, "")
@@ -265,11 +265,11 @@ fn by_region(report: &MappingReport) -> Table {
         ],
     ];
     table(
-        "Residuals and coverage by region of 5 m, in the order of the way",
+        "Residuals and coverage by 5 m region, along the trajectory",
         &[
             "centre, m",
             "keyframes",
-            "observations of a keyframe, median",
+            "observations per keyframe, median",
             "fewest",
         ],
         &head.concat(),
@@ -280,9 +280,9 @@ fn by_region(report: &MappingReport) -> Table {
 /// What [`pixels`] gives before and after Eq. (4).
 const PIXELS: [&str; 4] = [
     "reprojection before, px rms",
-    "far off before, %",
+    "outliers before, %",
     "reprojection, px rms",
-    "far off, %",
+    "outliers, %",
 ];
 
 fn pixels(residuals: &PixelResiduals) -> [String; 2] {
@@ -313,14 +313,14 @@ fn table(title: &str, first: &[&str], head: &[&str], rows: Vec<Vec<String>>) -> 
 fn courses(report: &MappingReport) -> Vec<Course> {
     let course = |title: &str, unit: &str, value: &dyn Fn(&RoundReport) -> f64| Course {
         title: title.to_owned(),
-        quantity: "round of correspondences and Eq. (4)".to_owned(),
+        quantity: "iteration of correspondences and Eq. (4)".to_owned(),
         unit: unit.to_owned(),
         values: report.rounds.iter().map(value).collect(),
     };
     vec![
-        course("Farthest that a keyframe moved", "mm", &|r| 1e3 * r.moved_m),
-        course("Matches of planes", "", &|r| r.plane_matches as f64),
-        course("Cost of Eq. (4), at its end", "", &|r| r.final_cost),
+        course("Largest movement of a keyframe", "mm", &|r| 1e3 * r.moved_m),
+        course("Plane matches", "", &|r| r.plane_matches as f64),
+        course("Final cost of Eq. (4)", "", &|r| r.final_cost),
     ]
 }
 

@@ -16,11 +16,13 @@ use crate::outcome::Outcome;
 /// Clouds a second where nothing says when they were taken: such a folder is refused.
 const NO_RATE_HZ: f64 = 1.0;
 
-/// Refine the poses of point clouds by the planes and edges that they show: the LiDAR terms of Eq. 4, for scans without images.
+/// Refine the poses of point clouds by their planes and edges.
 ///
-/// The clouds must be free of motion (deskewed). A folder has either a graph.txt with their poses, beside planes_K.bin and edges_K.bin or
-/// folders with points.bin, as gtsam_points keeps them; or files of any kind that `lsfb odometry` reads, whose names or times.txt say when they were taken:
-/// then a trajectory has their poses, and planes alone are compared. The first pose is held.
+/// Uses the LiDAR terms of Eq. 4, for scans without images. The clouds must be deskewed. The folder
+/// holds either graph.txt with their poses, and planes_K.bin and edges_K.bin or folders with
+/// points.bin, as gtsam_points writes them; or files that `lsfb odometry` reads, timed by their names
+/// or times.txt. In the second case a trajectory gives the poses, and only planes are compared. The
+/// first pose is held fixed.
 ///
 /// Examples:
 ///   lsfb map scans newer_01 --out refined.tum
@@ -28,17 +30,17 @@ const NO_RATE_HZ: f64 = 1.0;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct ScansArguments {
-    /// The clouds.
+    /// Folder of point clouds.
     #[arg(value_name = "FOLDER")]
     clouds: PathBuf,
-    /// Where the LiDAR was when they were taken, where the folder does not say; instead of what it says, if it does: then a pose for each
-    /// cloud, in their order.
+    /// Poses of the LiDAR, required if the folder has none. If it has, these replace them: one pose per
+    /// cloud, in the same order.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// The refined poses to write; of a folder with graph.txt the k-th, from 0, is at k seconds.
+    /// Refined poses to write; with graph.txt, cloud k (from 0) is at k seconds.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map scans --help` names them.
+    /// Settings instead of the defaults; `lsfb map scans --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
@@ -52,7 +54,7 @@ fn settings() -> String {
 pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Outcome> {
     let config: ScanPoseConfig = super::config_or_default(arguments.config.as_deref())?;
     let folder = &arguments.clouds;
-    super::expect_file(folder, "name a folder of clouds")?;
+    super::expect_file(folder, "give a folder of clouds")?;
     let mut read = vec![folder.as_path()];
     read.extend(arguments.trajectory.as_deref());
     context.claim(&arguments.out, &read)?;
@@ -60,7 +62,7 @@ pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Ou
     let scans = match is_graph_folder(folder) {
         true => of_graph(folder, given.as_ref())?,
         false => {
-            let missing = "nothing says where its clouds were taken: give --trajectory";
+            let missing = "the poses of the clouds are unknown: give --trajectory";
             let given = given.with_context(|| format!("{}: {missing}", folder.display()))?;
             of_files(folder, &given)?
         }
@@ -83,7 +85,7 @@ pub fn scans(arguments: &ScansArguments, context: &Context) -> anyhow::Result<Ou
     context.print(&summary, || {
         let (before, after) = (&report.lidar_before, &report.lidar_after);
         let mut text = format!(
-            "{}: {} scans; {} planes within {:.1} cm rms of one another (before {:.1} cm), {} edges within {:.1} cm (before {:.1} cm); moved by up to {:.1} cm and {:.2}°",
+            "{}: {} scans; {} planes agree to {:.1} cm rms (before {:.1} cm), {} edges to {:.1} cm (before {:.1} cm); moved by up to {:.1} cm and {:.2}°",
             arguments.out.display(),
             report.scans,
             after.plane_matches,
@@ -131,12 +133,12 @@ fn of_files(folder: &Path, given: &Trajectory) -> anyhow::Result<Vec<PosedScan>>
         let scan = scan?;
         anyhow::ensure!(
             clouds.scan_times() != ScanTimes::Rate,
-            "{}: nothing says when the clouds were taken: give them names that are stamps, or a times.txt",
+            "{}: the times of the clouds are unknown: use stamps as file names, or a times.txt",
             folder.display()
         );
         let pose = given
             .at(scan.time)
-            .with_context(|| format!("{}: it is not within the trajectory", scan.path.display()))?;
+            .with_context(|| format!("{}: it is outside the trajectory", scan.path.display()))?;
         let points = scan.cloud.scan.points.iter();
         scans.push(PosedScan {
             time: scan.time,

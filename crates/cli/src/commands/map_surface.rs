@@ -21,7 +21,7 @@ pub fn insert_scans(
     let rig = recording.rig()?;
     let mut builder = SurfaceBuilder::new(&rig, config).ok_or_else(|| {
         anyhow::anyhow!(
-            "{}: its rig has no LiDAR: there is no surface",
+            "{}: its rig has no LiDAR, so that there is no surface",
             path.display()
         )
     })?;
@@ -43,7 +43,7 @@ pub fn insert_scans(
     }
     anyhow::ensure!(
         inserted > 0,
-        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote of this recording",
+        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote for this recording",
         path.display()
     );
     Ok((builder, inserted))
@@ -60,7 +60,7 @@ pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
     let sources = &of_trajectory.inputs;
     anyhow::ensure!(
         sources.is_empty() || sources.values().any(is_own),
-        "{} was made from {}, not from {}: its provenance says so ({}); give the recording that it is of",
+        "{} was made from {}, not from {}: according to its provenance ({}); give the recording that it belongs to",
         trajectory.display(),
         sources.keys().cloned().collect::<Vec<_>>().join(" and "),
         recording.display(),
@@ -74,7 +74,7 @@ pub fn expect_sound(trajectory: &Path) -> anyhow::Result<()> {
     let failures = provenance_of(trajectory).map_or_else(Vec::new, |p| p.failures);
     anyhow::ensure!(
         failures.is_empty(),
-        "{} is wrong by what was found when it was made ({}): what is made of it would be wrong too; mend that, and make it again",
+        "{} failed its checks when it was made ({}), and everything made from it would be wrong too; fix that, and make it again",
         trajectory.display(),
         failures.join("; ")
     );

@@ -38,7 +38,7 @@ pub enum Tool {
     View(ViewArguments),
 }
 
-/// Show what a map holds: points and how well they are known, keyframes, cameras, extent.
+/// Show what a map contains: points and their accuracy, keyframes, cameras, extent.
 ///
 /// Examples:
 ///   lsfb map info map
@@ -51,10 +51,11 @@ pub struct InfoArguments {
     map: PathBuf,
 }
 
-/// Export a map to the files of another program: COLMAP, kapture, nerfstudio, a point cloud, or the poses of its keyframes.
+/// Export a map to COLMAP, kapture, nerfstudio, a point cloud, or keyframe poses.
 ///
-/// Images are named CAMERA/NANOSECONDS.png, as they would lie beside the model. The poses are keyframes.tum and keyframes_covariance.txt, which
-/// has the covariance relative to the first keyframe, as `lsfb eval --align origin` reads it.
+/// Images are named CAMERA/NANOSECONDS.png; put them beside the model. Poses are keyframes.tum, and
+/// keyframes_covariance.txt with the covariance relative to the first keyframe, for `lsfb eval --align
+/// origin`.
 ///
 /// Examples:
 ///   lsfb map export colmap map --out model
@@ -63,7 +64,7 @@ pub struct InfoArguments {
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct ExportArguments {
-    /// The format.
+    /// Format to export.
     #[arg(value_enum)]
     format: Program,
     /// The map.
@@ -74,7 +75,7 @@ pub struct ExportArguments {
     out: PathBuf,
 }
 
-/// Crop a map: the points in a box along the world's axes, and the keyframes that see them.
+/// Crop a map to an axis-aligned box: the points in it, and the keyframes that see them.
 ///
 /// Examples:
 ///   lsfb map crop map --min-m=-5,-5,-1 --max-m 5,5,3 --out room
@@ -84,36 +85,37 @@ pub struct CropArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Smallest coordinates.
+    /// Smallest coordinates of the box.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
     min_m: Vector3<f64>,
-    /// Largest coordinates.
+    /// Largest coordinates of the box.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
     max_m: Vector3<f64>,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
 }
 
-/// Merge two maps of one place that overlap: the second is moved into the frame of the first.
+/// Merge two overlapping maps of one place: the second is moved into the frame of the first.
 ///
-/// Refused where they share too little, where another alignment is nearly as good, or where it would not be known well enough.
+/// Refused if they share too little, if another alignment is nearly as good, or if the alignment is too
+/// uncertain.
 ///
 /// Examples:
 ///   lsfb map merge ground-floor stairs --out building
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = merge_settings())]
 pub struct MergeArguments {
-    /// The map whose frame stays.
+    /// Map whose frame is kept.
     #[arg(value_name = "MAP")]
     first: PathBuf,
-    /// The map that is moved.
+    /// Map to be moved.
     #[arg(value_name = "MAP")]
     second: PathBuf,
-    /// The map to write, a folder.
+    /// Map to write (folder).
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Settings instead of the defaults; `lsfb map merge --help` names them.
+    /// Settings instead of the defaults; `lsfb map merge --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
@@ -269,7 +271,7 @@ fn text(folder: &Path, info: &Info) -> String {
     }
     if let Some([half, most]) = info.point_sigma_m {
         lines.push(format!(
-            "σ of a point where it is known worst, keyframes taken as exact: median {:.1} cm, 95 % below {:.1} cm",
+            "σ of a point in the worst direction, given exact keyframes: median {:.1} cm, 95 % below {:.1} cm",
             100.0 * half,
             100.0 * most
         ));
@@ -279,7 +281,7 @@ fn text(folder: &Path, info: &Info) -> String {
         None => "σ of the keyframes: unknown".to_owned(),
     });
     let failures = info.failures.iter();
-    lines.extend(failures.map(|what| format!("failed when it was made: {what}")));
+    lines.extend(failures.map(|what| format!("failed its checks when it was made: {what}")));
     lines.join("\n")
 }
 
@@ -340,7 +342,7 @@ pub fn colmap_cameras(
     let cameras = lines.filter(|line| !line.starts_with('#')).map(|line| {
         let words: Vec<&str> = line.split(' ').collect();
         let [_, model, width, height, parameters @ ..] = &words[..] else {
-            anyhow::bail!("{line:?} is no camera of COLMAP");
+            anyhow::bail!("{line:?} is not a COLMAP camera");
         };
         let parameters = parameters.iter().map(|word| word.parse());
         Ok(ColmapCamera {
@@ -367,7 +369,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
     };
     anyhow::ensure!(
         region.contains(&region.min),
-        "--min-m lies beyond --max-m: give the smallest coordinates first"
+        "--min-m exceeds --max-m: give the smallest coordinates first"
     );
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
@@ -416,7 +418,7 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
     });
     context.print(&summary, || {
         format!(
-            "{}: {} points, {} of them in both maps, median {:.1} cm apart; the second map is placed to {:.1} cm (1 σ) where it is known worst",
+            "{}: {} points, {} of them in both maps, median {:.1} cm apart; position of the second map: {:.1} cm (1 σ) in the worst direction",
             arguments.out.display(),
             merged.point_count(),
             report.shared,

@@ -37,11 +37,13 @@ const MOST_SURFACE_POINTS: usize = 2_000_000;
 /// Length of a pyramid in distances between neighbouring keyframes.
 const PYRAMID_STEPS: f64 = 0.5;
 
-/// Look at a map: its points, the images of its keyframes, and the surface that the LiDAR saw, as a file for the Rerun viewer and as a page.
+/// View a map in the Rerun viewer and in a browser.
 ///
-/// Points are blue where they are known as well as half of the map or better, and orange where as badly as the worst 5 %. The page turns in any
-/// browser, without a network; it shows what is written for the viewer thinned out. The surface needs the scanner's recording and the
-/// trajectory that `lsfb map --out-trajectory` wrote with this map.
+/// Shows points, keyframe images, and the surface from the LiDAR. Points are blue if they are at least
+/// as accurate as the median point, and orange if they are as inaccurate as the worst 5 %. The page
+/// works in any browser without a network; it shows a thinned version of the viewer's file. The surface
+/// needs the scanner's recording and the trajectory that `lsfb map --out-trajectory` wrote with this
+/// map.
 ///
 /// Examples:
 ///   lsfb map view map --out map.rrd
@@ -52,16 +54,16 @@ pub struct ViewArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// The scanner's recording, for the surface.
+    /// Recording of the scanner, for the surface.
     #[arg(long, value_name = "MCAP", requires = "trajectory")]
     recording: Option<PathBuf>,
-    /// The scanner's trajectory in the map.
+    /// Trajectory of the scanner in the map.
     #[arg(long, value_name = "TUM", requires = "recording")]
     trajectory: Option<PathBuf>,
-    /// The viewer's file to write.
+    /// Rerun file to write.
     #[arg(long, value_name = "RRD")]
     out: PathBuf,
-    /// Also write a page with the map in space.
+    /// Also write a page with the map in 3D.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
 }
@@ -280,7 +282,7 @@ fn to_html(
             count("points of the LiDAR's surface", surface.len()),
             Figure::new("reprojection error of a point, median", error_px, "px"),
             Figure::new(
-                "σ of a point where it is known worst, median",
+                "σ of a point in the worst direction, median",
                 sigma_m * 1e2,
                 "cm",
             ),

@@ -26,16 +26,19 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Play a recording, a capture file or the simulator as live devices.
 ///
-/// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB device, camera frames to
-/// sockets, and a phone's messages to the sidecar port, each exactly as received and at its device's own time: `lsfb scan` in
-/// another process cannot tell the difference. The list of devices to record from is written into the folder. Nothing is sent
-/// until every device is connected.
+/// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB
+/// device, camera frames to sockets, and a phone's messages to the sidecar port, each exactly as
+/// received and at its device's own time: `lsfb scan` in another process cannot tell the difference.
+/// The list of devices to record from is written into the folder. Nothing is sent until every device is
+/// connected.
 ///
-/// With --loop, the devices' clocks start again with each repetition, and the recorder reports it. A capture file (pcap, pcapng,
-/// db3) holds a LiDAR only, which never signals its end: stop the recorder with Ctrl-C. A CAN bus does not signal its end
-/// either; beside devices that do, the recorder takes its silence for the end.
+/// With --loop, the devices' clocks restart with each repetition, and the recorder reports it. A
+/// capture file (pcap, pcapng, db3) holds only a LiDAR, which never signals its end: stop the recorder
+/// with Ctrl-C. A CAN bus does not signal its end either; next to devices that do, the recorder takes
+/// its silence for the end.
 ///
-/// An SBG unit needs a CAN interface, e.g. a virtual one: ip link add vcan0 type vcan && ip link set vcan0 up
+/// An SBG unit needs a CAN interface, e.g. a virtual one: ip link add vcan0 type vcan && ip link set
+/// vcan0 up
 ///
 /// Examples:
 ///   lsfb mock scan.mcap --out mock              # then, in another terminal:
@@ -73,7 +76,7 @@ pub struct Arguments {
 pub fn speed(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(speed),
-        _ => Err("expected a positive number, for instance 1 or 0.5".to_owned()),
+        _ => Err("expected a positive number, for example 1 or 0.5".to_owned()),
     }
 }
 
@@ -92,7 +95,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let playback = Playback::open(source)?;
     for topic in playback.unplayed() {
         context.say(&format!(
-            "warning: {topic} is not played: the bytes that its device sent were not recorded"
+            "warning: {topic} is not played: its device's raw bytes were not recorded"
         ));
     }
     let folder = Folder::create(&arguments.out)?;
@@ -142,7 +145,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     });
     context.print(&report, || {
         let mut text = format!(
-            "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} pieces of the IMU's stream, {} sidecar messages",
+            "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} chunks of the IMU's stream, {} sidecar messages",
             source.display(),
             sent.lidar_data_packets + sent.lidar_position_packets,
             sent.lidar_position_packets,
@@ -169,7 +172,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 fn playback_needs(playback: &Playback, arguments: &Arguments) -> String {
     match playback.imu_family() {
         Some(ImuFamily::Sbg) => format!(
-            "the recorded SBG unit needs the CAN interface {}: make it, or name another with --can",
+            "the recorded SBG unit needs the CAN interface {}: create it, or name another with --can",
             arguments.can
         ),
         _ => format!("the devices in {}", arguments.out.display()),

@@ -83,7 +83,7 @@ fn config_or_default<C: DeserializeOwned + Default>(path: Option<&Path>) -> anyh
 
 /// A stage's settings from a TOML file; unknown names are refused by the settings themselves.
 fn read_config<C: DeserializeOwned>(path: &Path) -> anyhow::Result<C> {
-    expect_file(path, "leave the option out to take the defaults")?;
+    expect_file(path, "omit the option to use the defaults")?;
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
     toml::from_str(&text).map_err(|e| {
         anyhow::anyhow!(

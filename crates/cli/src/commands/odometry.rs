@@ -18,24 +18,21 @@ use crate::files;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
-/// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
+/// Run LiDAR(-inertial) odometry on a recording, ROS bag, packet capture or folder of clouds.
 ///
-/// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds, or packets of one of the LiDARs of --lidar-model, on any topic, and may have
-/// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
-/// Scans that could not be registered have no pose, and where none has one for a second and a half nothing is written (`lidar-gap`). Exit code 3
-/// where packets or messages are missing or cannot be read, where scans have no pose, where there is such a gap, or where the place of the last is not known to a metre; 4 where IMU and scans contradict each other (axes, clock, unit, where
-/// the LiDAR is on the IMU): the trajectory is written, and is wrong.
+/// ROS bags (.bag, .db3, .mcap, rosbag2 folders) hold clouds, or packets of a LiDAR of --lidar-model, on
+/// any topic, with or without an IMU. Point clouds are .pcd, .ply, .las, .laz, KITTI .bin or nuScenes
+/// .pcd.bin. Written beside WALK.tum: WALK_covariance.txt, poses with covariance relative to the first,
+/// for `lsfb eval --align origin`.
 ///
-/// Beside the trajectory WALK.tum, WALK_covariance.txt has the pose of each scan with its covariance relative to the first, as `lsfb eval
-/// --align origin` reads it: 44 columns. Stretches in which scans do not see all of the motion (a corridor without ends, a room without
-/// floor) are named with their direction.
+/// Exit code 3: packets or messages are missing or unreadable, scans have no pose, or the last position
+/// is uncertain by more than a metre; also for gaps of 1.5 s or more without a registered scan, in
+/// which no poses are written (lidar-gap). Exit code 4: IMU and scans contradict each other (axes,
+/// clock, unit, or mounting); the trajectory is written, but wrong.
 ///
-/// With --out-loops, places that are visited again are looked for, and what the odometry drifted in between is taken out of trajectory and
-/// covariances. The list names every loop that was looked at, with its scores and its verdict; edit the verdicts and give it back with
-/// --loops, and it is used as it is.
-///
-/// With --out-clouds, the deskewed scans are stored for `lsfb map --stored-clouds`, a fifth of their points: planes by means of points, edges whole. Nothing is
-/// stored where IMU and scans contradict each other.
+/// --out-loops detects revisited places, corrects the drift, and lists every loop candidate with its
+/// scores and verdict; edit the verdicts and pass the list to --loops to use it as it is. Details:
+/// docs/odometry.md.
 ///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
@@ -48,22 +45,23 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recording, ROS bag, capture of packets, or folder of point clouds.
+    /// Recording, ROS bag, packet capture, or folder of point clouds.
     #[arg(value_name = "MCAP|BAG|PCAP|FOLDER")]
     input: PathBuf,
-    /// The trajectory to write.
+    /// Trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Look for loops, close them, and write the list of them here.
+    /// Detect and close loops, and write the list of loop candidates here.
     #[arg(long, value_name = "FILE")]
     out_loops: Option<PathBuf>,
-    /// Close the loops that this list accepts, and look for no others.
+    /// Close the loops that this list accepts; do not search for others.
     #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
     loops: Option<PathBuf>,
-    /// Store the deskewed scans here, reduced to a fifth of their points; of recordings of `lsfb scan`.
+    /// Store the deskewed scans here, thinned to a fifth of their points, for `lsfb map --stored-clouds`;
+    /// only for recordings of `lsfb scan`. Not written if IMU and scans contradict each other.
     #[arg(long, value_name = "MCAP")]
     out_clouds: Option<PathBuf>,
-    /// Share of the points that is stored.
+    /// Share of the points to store.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * STORED_SHARE, value_parser = share_percent, requires = "out_clouds")]
     clouds_percent: f64,
     /// Use settings for streets: long ranges, coarse voxels.
@@ -72,21 +70,22 @@ pub struct Arguments {
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML", conflicts_with = "outdoor")]
     config: Option<PathBuf>,
-    /// Rig with the LiDAR's pose relative to the IMU, and the noise of both; recordings of `lsfb scan` hold one, a bag may give the
-    /// pose in /tf_static.
+    /// Rig with the LiDAR's pose relative to the IMU, and the noise of both. Recordings of `lsfb scan`
+    /// contain one; a bag may give the pose in /tf_static.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// Topic of the scans, where a bag has several.
+    /// Topic of the scans, if a bag has several.
     #[arg(long = "lidar-topic", visible_alias = "lidar", value_name = "TOPIC")]
     lidar: Option<String>,
-    /// Topic of the inertial samples, where a bag has several.
+    /// Topic of the IMU, if a bag has several.
     #[arg(long = "imu-topic", visible_alias = "imu", value_name = "TOPIC")]
     imu: Option<String>,
-    /// Scans per second of a folder of clouds without times: neither in the points, nor in the file names, nor in a list beside them.
+    /// Scans per second, for a folder of clouds without times in the points, the file names, or a list
+    /// beside them.
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]
     rate_hz: f64,
-    /// Model of the spinning LiDAR: packets of another model are refused; where clouds have no times, points are timed by their
-    /// azimuth.
+    /// Model of the spinning LiDAR. Packets of any other model are refused; points of clouds without times
+    /// are timed by their azimuth.
     #[arg(long, value_name = "MODEL", value_parser = super::scan::lidar_model)]
     lidar_model: Option<Model>,
 }
@@ -106,12 +105,14 @@ struct Report<'a> {
 }
 
 /// What the file of covariances says of itself.
-const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of the scans against the map and those that the map inherits from\n\
-     the poses it was drawn from; errors of the rig (where the LiDAR is on the IMU, the LiDAR's scale and clock) are not in it.";
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is taken as exact. Included: errors \
+     of the scans against the map, and those that the map inherits from\nthe poses it was built \
+     from. Not included: errors of the rig (pose of the LiDAR on the IMU, the LiDAR's scale and \
+     clock).";
 /// What it says besides where loops were closed.
-const LOOPS_CLOSED: &str = "\nLoops are closed: it is that of the graph of steps and loops, and holds only if no closed loop is false.";
+const LOOPS_CLOSED: &str = "\nLoops are closed: the covariance is that of the graph of steps and loops, and holds only if no closed loop is false.";
 /// What it says besides where scans are rare.
-const RARE_SCANS: &str = "\nThe scans are more than a second apart: that one was registered to the wrong surface is not in it. Do not rely on it.";
+const RARE_SCANS: &str = "\nThe scans are more than a second apart: registration to the wrong surface is not included. Do not rely on it.";
 
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
@@ -171,12 +172,12 @@ fn about_loops(loops: &Closing) -> String {
 fn about_clouds(path: &Path, clouds: Option<&StoredReport>) -> String {
     let Some(stored) = clouds else {
         return format!(
-            "\n  {}: not written, as IMU and scans contradict each other",
+            "\n  {}: not written because IMU and scans contradict each other",
             path.display()
         );
     };
     format!(
-        "\n  {}: {} scans, {:.1} % of their points, {} places where rings bend",
+        "\n  {}: {} scans, {:.1} % of their points, {} edge points",
         path.display(),
         stored.scans,
         100.0 * stored.share(),
@@ -218,7 +219,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ];
         anyhow::ensure!(
             !others.contains(&Some(clouds)),
-            "{} is written twice: give --out-clouds a file of its own",
+            "{} would be written twice: give --out-clouds another file",
             clouds.display()
         );
         context.claim(clouds, &read)?;
@@ -233,7 +234,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     anyhow::ensure!(
         arguments.out_clouds.is_none() || is_recording(&choice)?,
-        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is none: `lsfb import` makes one of it",
+        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is not one: convert it with `lsfb import`",
         arguments.input.display()
     );
     let mut found = run_on(&choice, &config, context)?;
@@ -279,13 +280,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let summary = format!("{} of {} scans registered", r.registered, r.scans);
     context.print(&Judged::new(&judgement, &summary, &report), || {
         let mut text = format!(
-            "{}: {summary}, {:.2} m of path, {:.1} mm to the map's planes",
+            "{}: {summary}, path {:.2} m, residual {:.1} mm to the map's planes",
             arguments.out.display(),
             r.path_length_m,
             r.plane_rms_m * 1e3
         );
         let deskewed = [
-            (r.deskew.by_times, "by the times of their points"),
+            (r.deskew.by_times, "by point times"),
             (r.deskew.by_azimuth, "by azimuth"),
             (r.deskew.none, "not at all"),
         ];

@@ -10,10 +10,10 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Recover a damaged or interrupted recording: copy what can be read into a new file with a new index.
+/// Recover a damaged or interrupted recording: copy what is readable into a new file with a new index.
 ///
-/// Chunks with a correct checksum are copied unchanged; from a chunk cut off at the end, the complete messages are copied.
-/// The damaged file is not changed. Exit code 3: recovered, but data is missing.
+/// Chunks with a correct checksum are copied unchanged; of a truncated last chunk, the complete
+/// messages are copied. The damaged file is not changed. Exit code 3: recovered, but data is missing.
 ///
 /// Examples:
 ///   lsfb recover scan.mcap --out scan-recovered.mcap
@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if report.salvaged_messages > 0 {
             let _ = write!(
                 out,
-                "\n  {} messages come from a torn chunk: whole, but nothing has checked them",
+                "\n  {} messages come from a damaged chunk: complete, but without a valid checksum",
                 report.salvaged_messages
             );
         }

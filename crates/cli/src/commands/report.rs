@@ -25,15 +25,16 @@ use crate::outcome::Outcome;
 const SCANS: usize = 40;
 const EVERY_POINT: usize = 23;
 
-/// Draw a dataset on one page: the maps with all walks in them, estimates against the truth, the tables, and what cannot be true.
+/// Draw a dataset on one page: maps with all walks, estimates against the truth, tables.
 ///
-/// Maps are the scans, placed by the truth; walks have a colour for each device; squares where most walks pass are drawn again, larger, or
-/// those that --inset-m names (the paper's Fig. 1). Where the truth is held back, the tables are all there is. With --estimates, every file
-/// SEQUENCE.tum of that folder is drawn and judged against the truth. --out-svg writes the same drawings for papers; a browser prints the page
-/// as PDF or saves it as a picture.
+/// Maps are the scans, placed by the truth; walks are coloured by device. Where most walks pass, or at
+/// --inset-m, squares are drawn again, enlarged (the paper's Fig. 1). If the truth is held back, only
+/// the tables are shown. --estimates draws every SEQUENCE.tum of a folder and evaluates it against the
+/// truth. --out-svg also writes the drawings for papers; print the page from a browser to get a PDF.
 ///
-/// Other figures of the paper are drawn where their data come from: Fig. 4 by `lsfb bench ba`, Fig. 5 (several systems on one walk) by `lsfb bench
-/// slam`, Fig. 6 (marks on the floor) by `lsfb survey check --out`, Fig. 7 (a walk against GNSS/INS) by `lsfb align` and `lsfb eval --out`.
+/// Other figures of the paper: Fig. 4 by `lsfb bench ba`, Fig. 5 (several systems on one walk) by `lsfb
+/// bench slam`, Fig. 6 (floor marks) by `lsfb survey check --out`, Fig. 7 (a walk against GNSS/INS) by
+/// `lsfb align` and `lsfb eval --out`.
 ///
 /// Examples:
 ///   lsfb report dataset --out report.html
@@ -54,15 +55,16 @@ pub struct Arguments {
     /// Also write the drawings as SVG files.
     #[arg(long, value_name = "FOLDER")]
     out_svg: Option<PathBuf>,
-    /// A square of an environment that is drawn again, larger: its middle and side in metres; may be repeated.
+    /// A square of an environment to draw enlarged: centre and side in metres; may be repeated.
     #[arg(long, value_name = "ENVIRONMENT=X,Y,SIDE", value_parser = inset, allow_hyphen_values = true)]
     inset_m: Vec<(String, [f64; 3])>,
 }
 
 /// `narrow-corridor=12.5,-3,4`.
 fn inset(text: &str) -> Result<(String, [f64; 3]), String> {
-    let problem =
-        || "give an environment, the middle of a square and its side: hall=12.5,-3,4".to_owned();
+    let problem = || {
+        "expected an environment, the centre of a square and its side: hall=12.5,-3,4".to_owned()
+    };
     let (name, numbers) = text.split_once('=').ok_or_else(problem)?;
     let numbers: Result<Vec<f64>, _> = numbers.split(',').map(str::parse).collect();
     let numbers: [f64; 3] = numbers
@@ -230,7 +232,7 @@ fn judged(
         let path = estimates.join(format!("{name}.tum"));
         let truth_path = folder.walk_truth(name);
         if !path.exists() || !truth_path.exists() {
-            let what = "has no estimate, or no truth to judge it by";
+            let what = "has no estimate, or no truth to evaluate it against";
             findings.push(Finding::new("estimate", Verdict::Unknown, name, what));
             continue;
         }

@@ -31,12 +31,13 @@ const SIDECAR_FOLDER: &str = "sidecar";
 ///
 /// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but data was lost.
 ///
-/// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and battery, start and
-/// stop, notes and control points (which are recorded). Recordings are then started and stopped there; each gets its own file
-/// (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no internet. By
-/// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it is served by TLS,
-/// below /operator/, and asks for a PIN, which is printed at the start with a QR code of the link. With a `[sidecar]` in the list of
-/// devices it lies at the address of the phones as well. The browser warns of the rig's certificate, which nobody has signed.
+/// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and
+/// battery, start and stop, notes and control points (which are recorded). Recordings are started and
+/// stopped there; each gets its own file (scan.mcap, scan-2.mcap, …), no file is overwritten, and
+/// Ctrl-C ends the program. The page needs no internet and by default opens on this machine only. At an
+/// address that other machines can reach (0.0.0.0:8700), or the phones' address (`[sidecar]`), it uses
+/// TLS at /operator/ and asks for a PIN, printed at the start with a QR code of the link. Your browser
+/// will warn about the rig's self-signed certificate; continue anyway.
 ///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
@@ -50,7 +51,7 @@ const SIDECAR_FOLDER: &str = "sidecar";
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// List of devices (see docs/devices.md); `lsfb sim` and `lsfb mock` write one for theirs.
+    /// List of devices (see docs/devices.md); `lsfb sim` and `lsfb mock` write one for their devices.
     #[arg(long, value_name = "TOML", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
     /// LiDAR packets of a pcap or pcapng capture.
@@ -68,7 +69,7 @@ pub struct Arguments {
     /// Rig to attach to the recording of a capture file.
     #[arg(long, value_name = "TOML", conflicts_with = "devices")]
     rig: Option<PathBuf>,
-    /// The recording to write.
+    /// Recording to write.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
     /// Start a new file after this many megabytes; each file can be read on its own.
@@ -77,18 +78,18 @@ pub struct Arguments {
     /// Start a new file after this many seconds.
     #[arg(long, value_name = "SECS")]
     split_secs: Option<f64>,
-    /// Folder on another disk, to continue in when the first is nearly full.
+    /// Folder on another disk, used when the first disk is nearly full.
     #[arg(long, value_name = "FOLDER")]
     out_second_disk: Option<PathBuf>,
-    /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise, or phones have an address
-    /// (`[sidecar]`).
+    /// Serve the operator's screen; on this machine only, unless ADDR or the phones' address (`[sidecar]`)
+    /// makes it reachable from others.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
-    /// PIN of the screen, at least four characters; by default a random one, which is asked of other machines alone.
+    /// PIN of the screen, at least four characters; random by default; only other machines need it.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
-    /// Another name of this machine (e.g. a DNS name), besides its host name and addresses; the screen answers to no others. May
-    /// be repeated.
+    /// Another name of this machine (for example a DNS name) at which the screen may be opened, besides its
+    /// host name and addresses; may be repeated.
     #[arg(long, value_name = "NAME", requires = "screen")]
     screen_name: Vec<String>,
     /// Start the first recording at once, without waiting for START on the screen.
@@ -97,11 +98,11 @@ pub struct Arguments {
     /// Stream live data to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
-    /// Run the odometry while recording, and record the rig's poses (/tf), even if no live map is shown; with --screen, --foxglove and
-    /// --rerun it always runs. Needs a rig with the LiDAR.
+    /// Run odometry while recording, and record the rig's poses (/tf), even without a live map; always on
+    /// with --screen, --foxglove or --rerun. Needs a rig with the LiDAR.
     #[arg(long, requires = "devices")]
     odometry: bool,
-    /// Folder with the state of batteries, for hosts where it is not /sys/class/power_supply.
+    /// Folder with the battery state, if it is not /sys/class/power_supply.
     #[arg(long, value_name = "FOLDER")]
     power_supplies: Option<PathBuf>,
     /// Stream live data to the Rerun viewer at URL.
@@ -115,14 +116,14 @@ pub struct Arguments {
 struct LidarArguments {
     #[arg(long, value_name = "MODEL", help = lidar_model_help(), conflicts_with = "devices", value_parser = lidar_model)]
     lidar_model: Option<Model>,
-    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns.
+    /// Ignore the model and return mode stated in the packets; use --lidar-model and this mode.
     #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = one_of(&Returns::ALL, Returns::key))]
     force_returns: Option<Returns>,
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
-    /// Read packets of this sender only, under this name. May be repeated; without it every LiDAR of a pcap capture is
-    /// recorded: lidar, lidar2, … in the order in which they were first heard.
+    /// Record only the packets of this sender, under this name; may be repeated. By default every LiDAR of
+    /// a pcap capture is recorded, as lidar, lidar2, … in order of appearance.
     #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
     lidar_sender: Vec<Sender>,
     /// UDP ports of the LiDAR in a pcap capture, separated by commas.
@@ -144,7 +145,7 @@ fn lidar_sender(text: &str) -> Result<Sender, String> {
     };
     let refused = |_| {
         format!(
-            "expected an address as 192.168.1.201, or a name and an address as rear=192.168.1.201, not {text:?}"
+            "expected an address such as 192.168.1.201, or a name and an address such as rear=192.168.1.201, not {text:?}"
         )
     };
     let address = address.parse().map_err(refused)?;
@@ -224,11 +225,11 @@ fn pin(text: &str) -> Result<String, String> {
 /// Records, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     for (path, remedy) in [
-        (&arguments.devices, "let `lsfb sim` write an example"),
-        (&arguments.pcap, "name a capture file"),
-        (&arguments.db3, "name a rosbag2 database"),
-        (&arguments.mcap, "name an MCAP file"),
-        (&arguments.rig, "leave --rig out"),
+        (&arguments.devices, "`lsfb sim` writes an example"),
+        (&arguments.pcap, "give a capture file"),
+        (&arguments.db3, "give a rosbag2 database"),
+        (&arguments.mcap, "give an MCAP file"),
+        (&arguments.rig, "leave out --rig"),
     ] {
         if let Some(path) = path {
             super::expect_file(path, remedy)?;
@@ -266,7 +267,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         (_, Some(db3), _) => replay(Rosbag2Source::open(db3)?, &config, out, &show)?,
         (_, _, Some(mcap)) => replay_recording(mcap, &config, out, &show)?,
-        _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
+        _ => bail!("give a source: --devices, --pcap, --db3 or --mcap"),
     };
     if report.streams.iter().all(|stream| stream.decoded == 0) {
         let why = nothing(&report, &beside);
@@ -285,12 +286,12 @@ fn nothing(report: &CaptureReport, beside: &str) -> String {
     let received: u64 = report.streams.iter().map(|s| s.received).sum();
     let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
     let mut why = match (received, bad) {
-        (0, _) => "no scan: no datagram of the LiDAR is in it".to_owned(),
-        (_, Some(bad)) => format!("no scan was made of {received} datagrams: {bad}"),
-        (_, None) => format!("no scan was made of {received} datagrams"),
+        (0, _) => "no scan: it has no LiDAR datagrams".to_owned(),
+        (_, Some(bad)) => format!("no scan could be assembled from {received} datagrams: {bad}"),
+        (_, None) => format!("no scan could be assembled from {received} datagrams"),
     };
     if !beside.is_empty() {
-        let _ = write!(why, "; beside it: {beside}");
+        let _ = write!(why, "; also found: {beside}");
     }
     why
 }
@@ -369,7 +370,7 @@ fn random_pin() -> anyhow::Result<String> {
     let mut bytes = [0; 8];
     std::fs::File::open("/dev/urandom")
         .and_then(|mut source| source.read_exact(&mut bytes))
-        .context("no random PIN can be made; choose one with --pin")?;
+        .context("cannot generate a random PIN; choose one with --pin")?;
     Ok(format!("{:06}", u64::from_le_bytes(bytes) % 1_000_000))
 }
 
@@ -453,13 +454,13 @@ pub fn text(report: &CaptureReport) -> String {
             (s.bad, "unreadable"),
             (s.missing, "missing"),
             (s.reordered, "too late for their scan"),
-            (s.kept_out, "of another LiDAR kept out"),
+            (s.kept_out, "from another LiDAR, rejected"),
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
-            (s.interruptions, "times gone and back"),
+            (s.interruptions, "disconnections"),
             (s.silences, "times silent"),
-            (s.slowdowns, "times far too slow"),
-            (s.stale, "times nothing new"),
+            (s.slowdowns, "stretches with a much too low rate"),
+            (s.stale, "stretches of repeated data"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");

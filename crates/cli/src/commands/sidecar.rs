@@ -20,10 +20,10 @@ use crate::qr_code;
 /// An address to ask the way to: nothing is sent there (RFC 5737).
 const ELSEWHERE: (&str, u16) = ("192.0.2.1", 9);
 
-/// Pair phones and glasses with this rig, write the walk of each, or play a recorded phone to a rig.
+/// Pair phones and glasses with this rig, extract their walks, or play a recorded phone to a rig.
 ///
-/// A phone is paired once, by a code that is valid for one phone and a few minutes; afterwards it connects by itself. What an app
-/// must speak is in docs/sidecar.md.
+/// A phone is paired once, with a code that is valid for one phone and a few minutes; afterwards it
+/// connects by itself. docs/sidecar.md describes the protocol for apps.
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
@@ -49,11 +49,11 @@ enum Action {
 
 /// Show a code that pairs one phone.
 ///
-/// With --browser it is a link to the rig's own page, which records by the phone's browser. That warns of the rig's certificate, which
-/// nobody has signed: go on to the page.
+/// With --browser: a link to the rig's own page, which records through the phone's browser. The browser
+/// will warn about the rig's self-signed certificate; continue anyway.
 ///
-/// With --push it is the address at which the app Sensor Logger pushes, until the name is unpaired; `[sidecar] push_listen` must be set. What
-/// it pushes is not encrypted.
+/// With --push: the address for HTTP push of the app Sensor Logger, valid until the name is unpaired.
+/// Requires `[sidecar] push_listen`; pushed data is not encrypted.
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml
@@ -67,16 +67,17 @@ struct Pair {
     /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
-    /// Address of this machine in the phone's network; by default the one on the way out.
+    /// Address of this machine in the phone's network; by default that of the default route.
     #[arg(long, value_name = "IP")]
     address: Option<IpAddr>,
     /// Show a link for a browser, instead of a code for an app.
     #[arg(long)]
     browser: bool,
-    /// Show the address for Sensor Logger's HTTP push; the phone is called NAME from then on.
+    /// Show the address for Sensor Logger's HTTP push, and name the phone NAME.
     #[arg(long, value_name = "NAME", conflicts_with = "browser")]
     push: Option<String>,
-    /// How Sensor Logger is set: standard is Android, or "Standardise Units & Frames" on; ios is an iPhone with that off.
+    /// Units set in Sensor Logger: standard is Android, or "Standardise Units & Frames" on; ios is an
+    /// iPhone with that off.
     #[arg(long, requires = "push", default_value = PushUnits::Standard.key(), value_parser = one_of(&PushUnits::ALL, PushUnits::key))]
     units: PushUnits,
     /// How long the code is valid.
@@ -84,7 +85,7 @@ struct Pair {
     valid_secs: u32,
 }
 
-/// Name the phones that are paired.
+/// List the paired phones.
 ///
 /// Examples:
 ///   lsfb sidecar list --devices devices.toml
@@ -96,34 +97,34 @@ struct List {
     devices: PathBuf,
 }
 
-/// Forget a phone: it must be paired again before it can send.
+/// Unpair a phone: it must be paired again before it can send.
 ///
 /// Examples:
 ///   lsfb sidecar unpair pixel8 --devices devices.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Unpair {
-    /// Its name.
+    /// Name of the phone.
     name: String,
     /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
 }
 
-/// Play the phones of a recording to a rig, through the protocol that an app speaks.
+/// Play the phones of a recording to a rig, over the protocol that apps use.
 ///
 /// Examples:
 ///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7'
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Play {
-    /// Recording with a phone or glasses in it.
+    /// Recording that contains a phone or glasses.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
     /// The rig's pairing code.
     #[arg(long, value_name = "CODE", value_parser = pairing_code)]
     code: PairingCode,
-    /// Which of the recording's phones to play; needed where there are several.
+    /// Phone of the recording to play; needed if there are several.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
     /// Name of the session.
@@ -135,7 +136,7 @@ struct Play {
     /// Inject random faults with this seed: cut connections, damaged and repeated messages, pauses.
     #[arg(long, value_name = "N", value_parser = super::seed)]
     fault_seed: Option<u64>,
-    /// How long to try to reconnect to a rig that was lost.
+    /// How long to try to reconnect after losing the rig.
     #[arg(long, value_name = "SECS", default_value_t = 120)]
     reconnect_secs: u32,
 }
@@ -164,12 +165,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let (_, folder) = open(&unpair.devices)?;
             if !folder.unpair(&unpair.name)? {
                 bail!(
-                    "no phone called {:?} is paired; `lsfb sidecar list` names them",
+                    "no paired phone is called {:?}; `lsfb sidecar list` shows them",
                     unpair.name
                 );
             }
             context.print(&serde_json::json!({ "unpaired": unpair.name }), || {
-                format!("{} is forgotten", unpair.name)
+                format!("{} is unpaired", unpair.name)
             })?;
             Ok(Outcome::Done)
         }
@@ -193,7 +194,7 @@ impl Pair {
         let host = match (self.address, sidecar.listen.ip()) {
             (Some(host), _) => host,
             (None, listen) if !listen.is_unspecified() => listen,
-            (None, _) => way_out().context("name this machine's address with --address")?,
+            (None, _) => way_out().context("give this machine's address with --address")?,
         };
         if let Some(name) = &self.push {
             return self.invite_pusher(name, host, &sidecar, &folder, context);
@@ -212,7 +213,7 @@ impl Pair {
         let valid_secs = self.valid_secs;
         context.print(
             &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
-            || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Show it to nobody else."),
+            || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Do not show it to anyone else."),
         )?;
         Ok(Outcome::Done)
     }
@@ -229,7 +230,7 @@ impl Pair {
     ) -> anyhow::Result<Outcome> {
         let listen = sidecar.push_listen.with_context(|| {
             format!(
-                "{}: [sidecar] has no push_listen, the address for apps that push by plain HTTP, such as \"0.0.0.0:8791\"",
+                "{}: [sidecar] has no push_listen, the address for apps that push over plain HTTP, such as \"0.0.0.0:8791\"",
                 self.devices.display()
             )
         })?;
@@ -239,8 +240,8 @@ impl Pair {
         let picture = qr_code::of(&url);
         context.print(&serde_json::json!({ "url": url }), || {
             format!(
-                "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair {name}`. Show it to nobody else; it is not \
-                 encrypted on the network."
+                "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair \
+                 {name}`. Do not show it to anyone else; it is not encrypted on the network."
             )
         })?;
         Ok(Outcome::Done)
@@ -261,7 +262,7 @@ impl Play {
             (Some(name), known) if known.contains(name) => name.clone(),
             (None, [only]) => only.clone(),
             (_, known) => bail!(
-                "{}: name one of its phones with --device: {}",
+                "{}: choose one of its phones with --device: {}",
                 self.recording.display(),
                 match known.len() {
                     0 => "there is none".to_owned(),
@@ -301,7 +302,7 @@ impl Play {
         });
         context.print(&report, || {
             format!(
-                "{}: {} messages sent, and all of them stored",
+                "{}: {} messages sent and stored",
                 self.recording.display(),
                 sent.sidecar_messages
             )

@@ -12,11 +12,12 @@ use crate::context::Context;
 use crate::judged::printable;
 use crate::outcome::Outcome;
 
-/// Write each phone of a recording into a walk of its own, with its clock estimated from all exchanges of times.
+/// Extract the walk of each phone, with its clock estimated from all clock exchanges.
 ///
-/// Every message keeps three stamps: the phone's own, its arrival, and the time made of it, on the rig's clock. The recording is not
-/// changed. Of a recording in parts, run it on each. Exit code 3: messages could not be read, or keep the time of the recording
-/// because the exchanges do not tell theirs.
+/// Every message keeps three stamps: the phone's own, its arrival, and the time on the rig's clock
+/// computed from it. The recording is not changed. For a recording in parts, run it on each part. Exit
+/// code 3: messages could not be read, or keep the recording's time because there were too few clock
+/// exchanges.
 ///
 /// Examples:
 ///   lsfb sidecar walks scan.mcap --out walks
@@ -25,16 +26,17 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recording with phones in it.
+    /// Recording that contains phones.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// Folder for the walks, `NAME.walk.mcap` each.
+    /// Folder for the walks, NAME.walk.mcap each.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Only this phone.
+    /// Extract only this phone.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
-    /// Its rig, instead of the one that it brought: calibrated since, or with the clocks that `lsfb calib verify --out-rig` measured.
+    /// Rig of the phone instead of the one that it sent: a newer calibration, or one with the clocks from
+    /// `lsfb calib verify --out-rig`.
     #[arg(long, value_name = "TOML", requires = "device")]
     rig: Option<PathBuf>,
 }
@@ -51,14 +53,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = arguments.recording.display();
     ensure!(
         !devices.is_empty(),
-        "{name}: there is no phone in it; `lsfb scan` records those that are paired by `lsfb sidecar pair`"
+        "{name}: it contains no phone; `lsfb scan` records phones paired with `lsfb sidecar pair`"
     );
     if let Some(wanted) = &arguments.device {
         let known = devices.join(", ");
         devices.retain(|device| device == wanted);
         ensure!(
             !devices.is_empty(),
-            "{name}: there is no phone {wanted:?} in it, but {known}"
+            "{name}: it does not contain phone {wanted:?}, but {known}"
         );
     }
     for device in &devices {
@@ -92,7 +94,7 @@ fn text(walks: &[Walk]) -> String {
         if walk.unmapped > 0 {
             let _ = writeln!(
                 out,
-                "  {} messages KEEP THE TIME OF THE RECORDING: the exchanges of times do not tell theirs",
+                "  {} messages KEEP RECORDING TIME: too few clock exchanges",
                 walk.unmapped
             );
         }
@@ -100,7 +102,7 @@ fn text(walks: &[Walk]) -> String {
             let _ = writeln!(out, "  clock {}: {}", clock.clock_id, words_of(clock));
         }
         if walk.mapped == 0 && walk.unmapped == 0 {
-            let _ = writeln!(out, "  its stamps are of UTC, and taken as they are");
+            let _ = writeln!(out, "  its stamps are UTC and are kept");
         }
     }
     out
@@ -109,11 +111,11 @@ fn text(walks: &[Walk]) -> String {
 /// What is known of a clock.
 fn words_of(clock: &WalkClock) -> String {
     let Some(asymmetry_us) = clock.asymmetry_at_most_us else {
-        return format!("not known, of {} exchanges of times", clock.unusable);
+        return format!("unknown, from {} clock exchanges", clock.unusable);
     };
     let mut words = format!("{} exchanges", clock.exchanges);
     if clock.unusable > 0 {
-        let _ = write!(words, " and {} that are of no use", clock.unusable);
+        let _ = write!(words, " and {} unusable ones", clock.unusable);
     }
     if let Some(sigma_us) = clock.sigma_us {
         let _ = write!(words, ", σ {sigma_us:.0} µs");
@@ -123,14 +125,14 @@ fn words_of(clock: &WalkClock) -> String {
     }
     let _ = write!(
         words,
-        ", wrong by at most {:.1} ms where one way is slower",
+        ", at most {:.1} ms error from unequal delays",
         asymmetry_us / 1e3
     );
     match clock.steps {
         0 => {}
-        1 => words.push_str(", began anew once"),
+        1 => words.push_str(", restarted once"),
         steps => {
-            let _ = write!(words, ", began anew {steps} times");
+            let _ = write!(words, ", restarted {steps} times");
         }
     }
     words

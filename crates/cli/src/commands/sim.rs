@@ -22,8 +22,9 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Simulate a building, a backpack and glasses; play the devices live, or record them directly.
 ///
-/// Writes the rigs, the settings, and the ground truth (in a folder of its own, for `lsfb eval`). Without --record, the devices
-/// wait for `lsfb scan` in another terminal: first the backpack, then the glasses.
+/// Writes the rigs, the settings, and the ground truth (in a separate folder, for `lsfb eval`). Without
+/// --record, the devices wait for `lsfb scan` in another terminal: first the backpack, then the
+/// glasses.
 ///
 /// Examples:
 ///   lsfb sim --out sim --seed 7 --record
@@ -65,11 +66,11 @@ pub struct Arguments {
     /// Simulate the night: few lamps are lit, windows and screens are dark.
     #[arg(long, conflicts_with = "config")]
     night: bool,
-    /// Trace light from lamps, sky and sun by way of all surfaces, of a scene of yours from its own lamps (KHR_lights_punctual) and what shines in
-    /// it. Computed once, and kept in the folder.
+    /// Path-trace the light of lamps, sky and sun; for --scene, of its own lamps (KHR_lights_punctual) and
+    /// emissive surfaces. Computed once and kept in the folder.
     #[arg(long, conflicts_with = "config")]
     baked_light: bool,
-    /// Seed of the building, the walks and the noise; without it that of --config, or 1.
+    /// Seed of the building, the walks and the noise; by default that of --config, otherwise 1.
     #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// Settings of the simulation instead of the defaults; --seed overrides its seed.
@@ -78,15 +79,17 @@ pub struct Arguments {
     /// Record scan.mcap and walk.mcap in this process.
     #[arg(long)]
     record: bool,
-    /// Clocks of the devices: ideal (all keep UTC) or quartz (each drifts, links delay and stall). With --record, arrival times
-    /// are simulated too, so that `lsfb clock` has something to estimate; the truth is in truth/truth_*_clocks.csv.
+    /// Clocks of the devices: ideal (all keep UTC) or quartz (each drifts; links delay and stall). With
+    /// --record, arrival times are simulated too, so that `lsfb clock` has something to estimate; the truth
+    /// is in truth/truth_*_clocks.csv.
     #[arg(long, value_parser = clocks, value_name = "KIND")]
     clocks: Option<Clocks>,
-    /// Position on Earth: latitude and longitude in degrees, height above the ellipsoid in metres, e.g. 48.15,11.58,565. x points
-    /// east, y north. Satellites, NMEA sentences and the Earth's magnetic field follow from it.
+    /// Position on Earth: latitude and longitude in degrees, height above the ellipsoid in metres, e.g.
+    /// 48.15,11.58,565. x points east, y north. Determines satellites, NMEA sentences and the Earth's
+    /// magnetic field.
     #[arg(long, value_parser = datum, value_name = "LAT,LON,H", allow_hyphen_values = true)]
     datum: Option<DatumConfig>,
-    /// Playback speed: simulated seconds per second, at most; 0 is as fast as possible.
+    /// Maximum playback speed, in simulated seconds per second; 0 is as fast as possible.
     #[arg(
         long,
         value_name = "FACTOR",
@@ -112,7 +115,8 @@ enum Action {
         /// Folder for the pictures.
         #[arg(long, value_name = "FOLDER")]
         out: PathBuf,
-        /// An environment of `lsfb sim --place`; may be repeated. Without it and --motion: all nine of the paper.
+        /// An environment of `lsfb sim --place`; may be repeated. Without --place and --motion: all nine of the
+        /// paper.
         #[arg(long, value_name = "NAME", value_parser = place)]
         place: Vec<Place>,
         /// A sequence of the paper's Table VII, O0 to S2; may be repeated.
@@ -130,13 +134,13 @@ enum Action {
         /// Your own textured scene, a binary glTF file in metres, instead of environments.
         #[arg(long, value_name = "GLB", conflicts_with_all = ["place", "motion"])]
         scene: Option<PathBuf>,
-        /// In traced light, as `lsfb sim --baked-light`; it is kept in the folder.
+        /// Use path-traced light, as `lsfb sim --baked-light`; it is kept in the folder.
         #[arg(long)]
         baked_light: bool,
         /// Draw the night: few lamps are lit, windows and screens are dark.
         #[arg(long)]
         night: bool,
-        /// Close a door that stands open otherwise; the second walk stays on one side of it.
+        /// Close a door that is otherwise open; the second walk stays on one side of it.
         #[arg(long)]
         fire_door: bool,
     },
@@ -245,8 +249,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     config.seed = arguments.seed.unwrap_or(config.seed);
     anyhow::ensure!(
         !config.fire_door,
-        "fire_door: the scanner would walk through the closed door; `lsfb bench twin --condition fire-door` scans with the door open, and \
-         `lsfb sim preview --fire-door` shows the walk"
+        "fire_door: the scanner would walk through the closed door; `lsfb bench twin --condition \
+         fire-door` scans with the door open, and `lsfb sim preview --fire-door` shows the walk"
     );
     match arguments.clocks {
         Some(Clocks::Ideal) => config.clocks = ClocksConfig::default(),

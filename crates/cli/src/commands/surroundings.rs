@@ -35,8 +35,8 @@ impl Surroundings {
             .transpose()?;
         if let Some(radio) = radio.as_ref().filter(|radio| radio.elsewhere().is_some()) {
             bail!(
-                "{}: the walk heard other Wi-Fi and Bluetooth than others did where its images and the map place it, so it was elsewhere, and \
-                 nothing of it is given: {}",
+                "{}: the walk received other Wi-Fi and Bluetooth signals than other walks did where \
+                 its images and the map place it: it was elsewhere, and no pose is given: {}",
                 walk.path().display(),
                 radio.finding().sentence()
             );

@@ -16,10 +16,11 @@ use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
-/// Compute floor marks from measured distances, and check a trajectory or a map by them.
+/// Compute floor marks from measured distances, and check a trajectory or a map against them.
 ///
-/// A survey is a text file with one statement per line, in metres: horizontal|vertical|distance A B LENGTH, with its σ behind it where
-/// it is known; sigma distance|line σ; visit A B … (the order in which the device rested on the marks); point A x y z (a point of a map).
+/// A survey is a text file with one statement per line, in metres: horizontal|vertical|distance A B
+/// LENGTH, followed by σ if known; sigma distance|line σ; visit A B … (the order in which the device
+/// rested on the marks); point A x y z (a point of a map).
 ///
 /// Examples:
 ///   lsfb survey solve floor.survey
@@ -37,7 +38,7 @@ enum Step {
     Check(CheckArguments),
 }
 
-/// Compute the marks: least squares, redundancy of each measurement, blunders by name.
+/// Compute the marks by least squares, with the redundancy of each measurement, and name blunders.
 ///
 /// Examples:
 ///   lsfb survey solve floor.survey
@@ -55,8 +56,9 @@ struct SolveArguments {
 
 /// Check a trajectory at the marks on which the device rested, or distances between points of a map.
 ///
-/// A rest further from its mark than --reach-m is in no error, and the check fails (exit code 4), as it does with fewer than half of the
-/// marks, or fewer than four: the errors of those that fit are no result.
+/// A rest further than --reach-m from its mark is not counted in the errors, and the check fails (exit
+/// code 4). It also fails with fewer than half of the marks, or fewer than four: errors at the marks
+/// that happen to fit prove nothing.
 ///
 /// Examples:
 ///   lsfb survey check floor.survey --trajectory walk.tum
@@ -65,16 +67,16 @@ struct SolveArguments {
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct CheckArguments {
-    /// The survey; without --trajectory its points are checked by its distances.
+    /// Survey; without --trajectory its points are checked against its distances.
     #[arg(value_name = "SURVEY")]
     survey: PathBuf,
-    /// The trajectory, of any program; its z axis points upwards.
+    /// Trajectory of any program; its z axis must point up.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// The recording of that walk: rests are then those of its IMU, and not of the poses alone.
+    /// Recording of that walk, to find the rests with its IMU instead of the poses alone.
     #[arg(long, value_name = "MCAP", requires = "trajectory")]
     recording: Option<PathBuf>,
-    /// Largest spread of the positions of a rest.
+    /// Largest spread of the positions during a rest.
     #[arg(long, default_value_t = 0.01, value_name = "M")]
     rest_spread_m: f64,
     /// Shortest rest.
@@ -211,10 +213,11 @@ fn rests(
         ..RestConfig::default()
     };
     let Some(path) = &arguments.recording else {
-        let what = "rests are those of the poses alone: a trajectory that froze rests as well";
+        let what =
+            "rests are found by the poses alone: a trajectory that froze looks like a rest as well";
         findings.push(
             Finding::new("rests", Verdict::Unknown, "trajectory", what)
-                .remedy("name the recording (--recording)"),
+                .remedy("give the recording (--recording)"),
         );
         return Ok(find_rests(poses, &config));
     };
@@ -248,7 +251,7 @@ fn largest(report: &DistanceReport) -> Finding {
     Finding::new("distances", verdict, "map", what)
         .value(report.error_m.max, "m")
         .limit(Limit::AtMost(LARGEST_M))
-        .remedy("measure the worst distance again; if it stands, the map is bent there")
+        .remedy("measure the worst distance again; if it is right, the map is bent there")
 }
 
 fn solution_text(solution: &SurveySolution) -> String {
@@ -267,15 +270,15 @@ fn solution_text(solution: &SurveySolution) -> String {
         );
     }
     out += &format!(
-        "\n{:<20} {:>10} {:>13} {:>10} {:>7} {:>14}\n",
-        "measurement", "read (m)", "residual (mm)", "redundancy", "w", "finds (mm)"
+        "\n{:<20} {:>12} {:>13} {:>10} {:>7} {:>15}\n",
+        "measurement", "measured (m)", "residual (mm)", "redundancy", "w", "detectable (mm)"
     );
     for o in &solution.observations {
         let or_dash = |value: Option<f64>, digits: usize| {
             value.map_or("–".to_owned(), |v| format!("{v:.digits$}"))
         };
         out += &format!(
-            "{:<20} {:>10} {:>13.2} {:>10.2} {:>7} {:>14}{}\n",
+            "{:<20} {:>12} {:>13.2} {:>10.2} {:>7} {:>15}{}\n",
             o.what,
             or_dash(o.measured_m, 4),
             1000.0 * o.residual_m,

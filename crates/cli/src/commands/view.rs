@@ -33,10 +33,10 @@ pub struct Arguments {
     /// A trajectory; may be repeated.
     #[arg(long, value_name = "TUM")]
     trajectory: Vec<PathBuf>,
-    /// An HD map, a folder.
+    /// HD map (folder).
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// The viewer's file to write.
+    /// Rerun file to write.
     #[arg(long, value_name = "RRD")]
     out: PathBuf,
 }
@@ -115,5 +115,5 @@ pub fn write(
         });
     }
     write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p))
-        .context("cannot write the viewer's file")
+        .context("cannot write the Rerun file")
 }

@@ -17,26 +17,23 @@ use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 use crate::standing;
 
-/// Compute the motion of a walk from its images and its IMU alone, without a map.
+/// Compute the motion of a walk from its images and IMU alone, without a map.
 ///
-/// Features are followed through the images of one camera or several; gravity, velocity and scale follow from a moment at rest or from the
-/// motion itself; then one adjustment over the whole walk. Poses are those of the IMU, ten a second, in a level world whose origin is the
-/// first of them.
+/// Tracks features in one or several cameras, initializes gravity, velocity and scale at rest or in
+/// motion, and adjusts the whole walk at once. Poses are those of the IMU, ten per second, in a
+/// gravity-aligned world that begins at the first one. Revisited places are recognized and the drift in
+/// between is corrected (finding revisits); without revisits the drift grows with the distance. Places
+/// that look alike are told apart by the largest possible drift.
 ///
-/// Where the walk comes back to a place, that is recognised by what the images show, and the drift in between is taken out (finding
-/// revisits); where it never does, drift grows with the way. Places that look the same are told apart by how far the walk can have drifted.
+/// The walk is a recording, or anything that `lsfb import` reads, such as EuRoC or TUM-VI; not a ROS
+/// bag. The rig, from the recording or --rig, must hold the cameras' poses on the IMU and its noise.
+/// Written beside WALK.tum: WALK_covariance.txt, poses with covariance relative to the first, for `lsfb
+/// eval --align origin`.
 ///
-/// A walk is a recording, or a folder or file of another program that `lsfb import` reads, such as EuRoC's and TUM-VI's. It needs a rig
-/// with the cameras' places on the IMU and its noise: the recording's own, or --rig. ROS bags are not read.
-///
-/// Beside the trajectory WALK.tum, WALK_covariance.txt has the poses with their covariance relative to the first, as `lsfb eval --align
-/// origin` reads it: 44 columns.
-///
-/// Stretches in which too little can be followed (darkness, a covered lens) have no poses; then the exit code is 3. A camera that is not
-/// where or as the rig says bends the motion: the finding camera-off names it, with exit code 4 where that is certain. Images and IMU that
-/// do not belong together are refused.
-///
-/// Stopped after all images were followed, the same command goes on from there: the tracks are kept in WALK.tum.unfinished until then.
+/// Exit code 3: stretches where too little can be tracked (darkness, a covered lens) have no poses.
+/// Exit code 4: a camera certainly differs from the rig (camera-off), which bends the trajectory.
+/// Images and IMU that do not belong together are refused. An interrupted run resumes after tracking,
+/// from WALK.tum.unfinished.
 ///
 /// Examples:
 ///   lsfb vio walk.mcap --out walk.tum
@@ -46,16 +43,16 @@ use crate::standing;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The walk: a recording, or what `lsfb import` reads.
+    /// Walk: a recording, or anything that `lsfb import` reads.
     #[arg(value_name = "MCAP|FOLDER")]
     walk: PathBuf,
-    /// The trajectory to write.
+    /// Trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Camera to use, once for each; by default all of the rig's.
+    /// Camera to use, once for each; by default all cameras of the rig.
     #[arg(long = "camera", value_name = "NAME")]
     cameras: Vec<String>,
-    /// The device's rig, instead of the recording's own.
+    /// Rig of the device, instead of the recording's own.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Settings instead of the defaults.
@@ -64,8 +61,9 @@ pub struct Arguments {
 }
 
 /// What the file of covariances says of itself.
-const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of images, of the IMU, and of the cameras as far as the rig file may\n\
-     be wrong; that a feature was followed wrongly all along is not in it.";
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is taken as exact. Included: errors \
+     of images, of the IMU, and of the cameras as far as the rig file may\nbe wrong. Not included: \
+     features tracked wrongly throughout.";
 
 /// A recording made of another program's, for as long as it is read.
 struct Imported(PathBuf);
@@ -88,7 +86,7 @@ impl Imported {
             context.lose_data();
             let count = report.unreadable();
             context.say(&format!(
-                "warning: {}: {count} records cannot be read; `lsfb import` names them",
+                "warning: {}: {count} records cannot be read; `lsfb import` lists them",
                 arguments.walk.display()
             ));
         }
@@ -122,7 +120,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     anyhow::ensure!(
         imported.is_none() || recording.rig().is_ok(),
-        "{}: nothing in it says where the cameras are on the IMU; give the rig with --rig",
+        "{}: the camera poses on the IMU are unknown; give the rig with --rig",
         arguments.walk.display()
     );
     let rig = super::about(
@@ -174,12 +172,12 @@ fn print(
     let judgement = Judgement::new(report.findings());
     context.print(&Judged::new(&judgement, "the motion", report), || {
         let begun = match report.beginning {
-            Beginning::Given => "from states that were given",
+            Beginning::Given => "from given states",
             Beginning::Standing => "at rest",
             Beginning::Moving => "in motion",
         };
         format!(
-            "{}: {} poses, begun {begun}, {:.2} m of path, {} points, reprojection {:.3} px rms\n{}",
+            "{}: {} poses, initialized {begun}, path {:.2} m, {} points, reprojection {:.3} px rms\n{}",
             arguments.out.display(),
             report.poses,
             report.path_length_m,

@@ -92,8 +92,9 @@ impl WalkFiles {
 }
 
 /// What the covariances leave out.
-const NOT_IN_IT: &str = "In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of\n\
-     the map around shares, its scale and its place, does not show in a walk and is not in it.";
+const NOT_IN_IT: &str = "Included: errors of images, of the IMU, of the cameras, of single map points and of \
+     neighbouring ones together. Not included: errors\nshared by the whole map around, its scale and its position, which a walk cannot \
+     reveal.";
 
 /// EuRoC's columns of a state (position and velocity in the world, rotation, biases of the IMU), and the turn rate, at the IMU's rate.
 fn states_text(found: &GroundTruth) -> String {

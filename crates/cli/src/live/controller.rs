@@ -160,7 +160,7 @@ impl Controller {
                     report.bytes as f64 / 1e6,
                     match report.lost {
                         0 => "nothing lost".to_owned(),
-                        lost => format!("{lost} LOST; the report on the terminal says what"),
+                        lost => format!("{lost} LOST; see the report on the terminal"),
                     }
                 );
             }
@@ -217,7 +217,9 @@ impl Controller {
                 Ok(match position_m {
                     Some(_) => format!("Point {name} saved."),
                     None => {
-                        format!("Point {name} saved, without a position: the live map has none.")
+                        format!(
+                            "Point {name} saved without a position, because the live map has none."
+                        )
                     }
                 })
             }
@@ -319,7 +321,7 @@ impl Controller {
                 } else {
                     state.tracking_problem = match state.tracking {
                         Tracking::Lost => {
-                            "Map lost: slow down, or turn back to where it was good.".to_owned()
+                            "Map lost: slow down, or return to where it was good.".to_owned()
                         }
                         _ => state.unseen.as_ref().map_or_else(String::new, sentence_of),
                     };

@@ -194,7 +194,7 @@ impl Live {
             if url.starts_with("https:") {
                 context.note(qr_code::of(&link).trim_end());
                 context.note(
-                    "the browser warns of the rig's certificate, which nobody has signed: go on to the page",
+                    "Your browser will warn about the rig's self-signed certificate; continue anyway",
                 );
             }
         }

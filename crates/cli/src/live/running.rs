@@ -116,11 +116,11 @@ impl Running {
         let secs = |since: Instant| now.duration_since(since).as_secs_f64();
         match self.registered {
             Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
-                "The map has stood still for {:.1} s: no scan was registered. Is the LiDAR alive?",
+                "No scan registered for {:.1} s. Check the LiDAR.",
                 secs(last)
             )),
             None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
-                "There is no map after {:.0} s: no scan could be registered. Is the LiDAR alive?",
+                "No map after {:.0} s: no scan could be registered. Check the LiDAR.",
                 secs(self.began)
             )),
             _ => None,

@@ -160,7 +160,7 @@ impl Streams {
             String::new()
         } else {
             format!(
-                "clocks of {} and {} lie {spread_ms:.0} ms apart",
+                "clocks of {} and {} differ by {spread_ms:.0} ms",
                 first.1, last.1
             )
         };

@@ -43,7 +43,7 @@ pub fn sentence_of(motion: &UnseenMotion) -> String {
         UnseenKind::Turn => "how you turn",
     };
     format!(
-        "The LiDAR does not see {what}: everything here looks the same. Walk on steadily to where there is more to see."
+        "The LiDAR cannot see {what}: everything here looks the same. Walk steadily on to where there is more to see."
     )
 }
 

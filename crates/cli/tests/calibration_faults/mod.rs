@@ -152,13 +152,13 @@ fn samples_of_an_imu() {
         "degrees",
         |s| s.gyro_rad_s = s.gyro_rad_s.map(f64::to_degrees),
         End::Refused,
-        &["in degrees", "radians per second are needed"],
+        &["in degrees", "convert them to radians per second"],
     );
     samples_end(
         "in_g",
         |s| s.accel_m_s2 = s.accel_m_s2.map(|a| a / 9.80665),
         End::Refused,
-        &["it counts in g"],
+        &["it is in units of g"],
     );
     samples_end(
         "gyro_sign",
@@ -207,7 +207,7 @@ fn clocks_of_camera_and_imu() {
             s.stamp_ns += [0, 0, 4_000_000, 0, 2_000_000, 0, 0][(number * number % 7) as usize];
         },
         End::Warn,
-        &["stamps of the IMU jitter by"],
+        &["IMU stamps jitter by"],
     );
     restamped("jitter", "cam0", |stamp, k| {
         stamp + [0, 5_000_000, -4_000_000, 2_000_000, -3_000_000][k * k % 5]
@@ -225,7 +225,7 @@ fn clocks_of_camera_and_imu() {
             &["images of cam0", "look like microseconds"][..],
         ),
         ("cam0=milli", &["images of cam0", "look like milliseconds"]),
-        ("cam0=frames", &["images of cam0", "1 apart are no stamps"]),
+        ("cam0=frames", &["images of cam0", "1 apart are not stamps"]),
     ] {
         let arguments = camera_imu(GRID, camera, "imu.csv");
         ends(good(), &arguments, "unit.toml", End::Refused, words);
@@ -255,7 +255,7 @@ fn boards_before_camera_and_imu() {
     let larger = fails(
         "larger.toml",
         "4,3,0.133333,0.3",
-        &["% larger than said", "tags of 1", "measure it"],
+        &["% larger than specified", "tags of 1", "measure it"],
     );
     let number = |name: &str| larger[name].as_f64().expect("a number");
     let (excess, sigma) = (number("board_excess"), number("board_excess_sigma"));
@@ -300,7 +300,10 @@ fn cameras_that_are_not_what_they_are_called() {
         &camera_imu(GRID, "cam0=cam1", imu),
         "one_swapped.toml",
         End::Warn,
-        &["found where the rig has cam1", "their images are swapped"],
+        &[
+            "found where the rig has cam1",
+            "their images or their names are swapped",
+        ],
     );
     let both = [
         &camera_imu(GRID, "cam0=cam1", imu)[..],
@@ -316,7 +319,10 @@ fn cameras_that_are_not_what_they_are_called() {
     );
     let lenses = ["calib", "camera", "--rig", "rig.toml", "--april-grid", GRID];
     let cameras = ["--camera", "cam0=cam1", "--camera", "cam1=cam0"];
-    let words = &["the other way round", "their views are swapped"];
+    let words = &[
+        "are swapped compared with the rig",
+        "their views or their names",
+    ];
     ends(
         good(),
         &[&lenses[..], &cameras].concat(),
@@ -361,7 +367,7 @@ fn images_of_two_cameras_in_one_folder() {
     let folders = [left.as_path(), twin.as_path()];
     mixed("by_turns", folders, |k| k % 2 == 1);
     mixed("half_way", folders, |k| k >= 60);
-    let words = &["not all images were taken through one lens", "cx"];
+    let words = &["not all images were taken with one lens", "cx"];
     for camera in ["by_turns", "half_way"] {
         let place = format!("cam0={camera}");
         let lenses = [&LENSES[..5], &[place.as_str()]].concat();
@@ -373,7 +379,7 @@ fn images_of_two_cameras_in_one_folder() {
     mixed("second", folders, |k| k < 70);
     let cameras = ["cam0=first", "--camera", "cam1=second"];
     let pair = [&LENSES[..5], &cameras].concat();
-    let words = &["their images are exchanged at"];
+    let words = &["their images are swapped at"];
     ends(good(), &pair, "exchanged.toml", End::Refused, words);
 }
 
@@ -395,43 +401,43 @@ fn motions_that_say_too_little() {
             "x",
             motion([0.0, 0.02, 0.3], moving),
             End::Refused,
-            &["rotate more around x"][..],
+            &["rotate more about x"][..],
         ),
         (
             "y",
             motion([0.35, 0.0, 0.02], moving),
             End::Refused,
-            &["rotate more around", "y ("],
+            &["rotate more about", "y ("],
         ),
         (
             "z",
             motion([0.02, 0.3, 0.0], moving),
             End::Refused,
-            &["rotate more around", "z ("],
+            &["rotate more about", "z ("],
         ),
         (
             "hardly_x",
             motion([0.0, 0.3, 0.3], moving),
             End::Warn,
-            &["hardly turns about x", "rotate more around x"],
+            &["hardly any rotation about x", "rotate more about x"],
         ),
         (
             "turning_alone",
             motion(base.turning_rad, [0.0; 3]),
             End::Warn,
-            &["size is not checked", "by 20 cm"],
+            &["size not checked", "by 20 cm"],
         ),
         (
             "moving_alone",
             motion([0.0; 3], moving),
             End::Refused,
-            &["rotate more around x"],
+            &["rotate more about x"],
         ),
         (
             "still",
             motion([0.0; 3], [0.0; 3]),
             End::Refused,
-            &["rotate more around x"],
+            &["rotate more about x"],
         ),
     ];
     let root = folder();
@@ -449,7 +455,7 @@ fn motions_that_say_too_little() {
         let of_lens: Option<&[&str]> = match name {
             "moving_alone" => Some(&["cannot be determined", "tilted by 30°", "near and far"]),
             // One image, again and again.
-            "still" => Some(&["only 1 of them differ", "copies", "move the board"]),
+            "still" => Some(&["only 1 of them differ", "duplicates", "move the board"]),
             _ => None,
         };
         if let Some(words) = of_lens {
@@ -489,11 +495,11 @@ fn images_without_the_board() {
     for (images, words) in [
         (
             "mirrored",
-            &["show its tags mirrored", "not flip its images"][..],
+            &["show its tags mirrored", "turn off image flipping"][..],
         ),
         (
             "other/cam0",
-            &["none of its own", "another family than 36h11"],
+            &["show other tags", "another family than 36h11"],
         ),
         ("dark", &["the target was found in 0 of 37 images", "focus"]),
     ] {
@@ -564,6 +570,6 @@ fn lenses_and_triggers() {
     of(&["cam0"]).write(late.path());
     of(&["cam1"]).write_late(&late.path().join("late"), 0.006);
     let pair = [&LENSES[..], &["--camera", "cam1=late/cam1"]].concat();
-    let words = &["alone it meets corners", "triggered together"];
+    let words = &["px together with the other cameras", "triggered together"];
     ends(late.path(), &pair, "late.toml", End::Warn, words);
 }

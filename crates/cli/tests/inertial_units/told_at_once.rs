@@ -94,7 +94,10 @@ fn time_to_tell(folder: &Path) -> Duration {
     let told = recording.messages(&format!("{HEALTH}rate")).expect("topic");
     let told = told.map(|m| decode_health_value(&m.expect("message").bytes).expect("value"));
     let problems: Vec<String> = told.map(|value| value.text).collect();
-    assert!(problems.iter().any(|p| p.contains("gone")), "{problems:?}");
+    assert!(
+        problems.iter().any(|p| p.contains("disconnected")),
+        "{problems:?}"
+    );
     took
 }
 

@@ -16,7 +16,7 @@ pub(super) fn parse(bytes: &[u8], names: &[&str]) -> Result<Packed, String> {
     let point_bytes = 4 * names.len();
     if !bytes.len().is_multiple_of(point_bytes) {
         return Err(format!(
-            "{} bytes are no whole number of points {}, single precision",
+            "{} bytes are not a whole number of points {}, single precision",
             bytes.len(),
             names.join(" ")
         ));

@@ -122,7 +122,10 @@ fn points(path: &Path) -> Result<Vec<Vector3<f64>>, Error> {
         source,
     })?;
     if !bytes.len().is_multiple_of(POINT_BYTES) {
-        let problem = format!("{} bytes are no points of {POINT_BYTES} bytes", bytes.len());
+        let problem = format!(
+            "{} bytes are not a whole number of points of {POINT_BYTES} bytes",
+            bytes.len()
+        );
         return Err(Error::CloudFile {
             path: path.to_owned(),
             problem,

@@ -32,7 +32,7 @@ pub(super) fn parse(mut bytes: Vec<u8>) -> Result<Packed, String> {
         let read = batch.len() as u64;
         if read == 0 {
             return Err(format!(
-                "{} points where the header announces {points}",
+                "{} points, but the header says {points}",
                 points - left
             ));
         }

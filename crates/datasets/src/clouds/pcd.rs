@@ -38,7 +38,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
         let found = data.split(|b| *b == b'\n').filter(is_point).count();
         if found > header.points {
             return Err(format!(
-                "{found} points where the header announces {}",
+                "{found} points, but the header says {}",
                 header.points
             ));
         }
@@ -60,7 +60,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
         Writing::Text | Writing::Binary => {
             data.get(..needed).map(<[u8]>::to_vec).ok_or_else(|| {
                 format!(
-                    "{} bytes of points where the header announces {needed}: truncated",
+                    "{} bytes of points, but the header says {needed}: truncated",
                     data.len()
                 )
             })?
@@ -86,7 +86,7 @@ fn decompressed(data: &[u8], needed: usize) -> Result<Vec<u8>, String> {
     let unpacked = length(4).ok_or_else(truncated)?;
     if unpacked != needed {
         return Err(format!(
-            "{unpacked} bytes of compressed points where the header announces {needed}"
+            "{unpacked} bytes of compressed points, but the header says {needed}"
         ));
     }
     let packed = data.get(8..).and_then(|rest| rest.get(..packed));
@@ -121,7 +121,7 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
             .get(at..MAX_HEADER_BYTES.min(bytes.len()))
             .unwrap_or_default();
         let Some(end) = rest.iter().position(|&b| b == b'\n') else {
-            return Err("no PCD header: the line DATA is missing".to_owned());
+            return Err("not a PCD header: the line DATA is missing".to_owned());
         };
         let line = String::from_utf8_lossy(rest.get(..end).unwrap_or_default()).into_owned();
         at += end + 1;
@@ -130,7 +130,7 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
             words
                 .map(|w| {
                     w.parse()
-                        .map_err(|_| format!("{w:?} is no number in {line:?}"))
+                        .map_err(|_| format!("{w:?} is not a number in {line:?}"))
                 })
                 .collect()
         };
@@ -147,12 +147,12 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
                     Some("binary_compressed") => Writing::Compressed,
                     other => {
                         return Err(format!(
-                            "DATA {} is not supported: ascii, binary and binary_compressed are",
+                            "DATA {} is not supported: use ascii, binary or binary_compressed",
                             other.unwrap_or("")
                         ));
                     }
                 };
-                let points = points.ok_or("no line POINTS")?;
+                let points = points.ok_or("the line POINTS is missing")?;
                 if points > MAX_POINTS {
                     return Err(format!("{points} points; a scan has at most {MAX_POINTS}"));
                 }

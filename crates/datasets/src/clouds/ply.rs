@@ -23,14 +23,16 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
     for number in 0.. {
         let end = rest.iter().position(|b| *b == b'\n');
         let end = end.filter(|_| number < MAX_HEADER_LINES);
-        let end = end.ok_or("no PLY header: the line end_header is missing")?;
+        let end = end.ok_or("not a PLY header: the line end_header is missing")?;
         let (line, behind) = rest.split_at(end);
         rest = behind.get(1..).unwrap_or_default();
         let line = String::from_utf8_lossy(line);
         let words: Vec<&str> = line.split_whitespace().collect();
         match words.as_slice() {
             ["ply"] if number == 0 => {}
-            _ if number == 0 => return Err("no PLY file: it does not begin with `ply`".to_owned()),
+            _ if number == 0 => {
+                return Err("not a PLY file: it does not begin with `ply`".to_owned());
+            }
             ["format", "ascii", _] => writing = Some(Writing::Text),
             ["format", "binary_little_endian", _] => {
                 writing = Some(Writing::Binary(ByteOrder::Little));
@@ -43,12 +45,14 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
             }
             ["element", name, ..] => {
                 if points.is_none() {
-                    return Err(format!("elements {name} stand before the vertices"));
+                    return Err(format!(
+                        "elements {name} before the vertices are not supported"
+                    ));
                 }
                 in_vertex = false;
             }
             ["property", "list", ..] if in_vertex => {
-                return Err("vertices with lists are not read".to_owned());
+                return Err("vertices with lists are not supported".to_owned());
             }
             ["property", kind, name] if in_vertex => {
                 let kind = kind_of(kind).ok_or_else(|| format!("unknown: {line:?}"))?;
@@ -63,11 +67,11 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
             _ => {}
         }
     }
-    let points = points.ok_or("no element vertex")?;
+    let points = points.ok_or("the element vertex is missing")?;
     if points > MAX_POINTS {
         return Err(format!("{points} points; a scan has at most {MAX_POINTS}"));
     }
-    match writing.ok_or("no line format")? {
+    match writing.ok_or("the line format is missing")? {
         Writing::Text => {
             let columns: Vec<usize> = (0..fields.len()).collect();
             let before = bytes.get(..bytes.len() - rest.len()).unwrap_or_default();
@@ -87,7 +91,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Packed, String> {
             let needed = points * point_bytes;
             let data = rest.get(..needed).ok_or_else(|| {
                 format!(
-                    "{} bytes of points where the header announces {needed}: truncated",
+                    "{} bytes of points, but the header says {needed}: truncated",
                     rest.len()
                 )
             })?;

@@ -144,10 +144,10 @@ fn text_that_is_no_number_is_named_by_its_line() {
     };
     for (name, number) in [("a.pcd", 13), ("a.ply", 15)] {
         for (line, words) in [
-            ("1,5 2 0.5 255 0.1", "\"1,5\" is no number"),
-            ("1 2 0.5 255 x", "\"x\" is no number"),
-            ("1 2 0.5", "3 words where the header announces 5"),
-            ("1 2 0.5 255 0.1 7", "6 words where the header announces 5"),
+            ("1,5 2 0.5 255 0.1", "\"1,5\" is not a number"),
+            ("1 2 0.5 255 x", "\"x\" is not a number"),
+            ("1 2 0.5", "3 words, but the header says 5"),
+            ("1 2 0.5 255 0.1 7", "6 words, but the header says 5"),
         ] {
             let error = with(name, line).expect_err(line).to_string();
             let place = format!("line {number}: {words}");
@@ -163,7 +163,7 @@ fn text_that_is_no_number_is_named_by_its_line() {
         }
     }
     let error = with("a.pcd", "1 2 0.5 255 0.1\n1 2 0.5 255 0.1").expect_err("a third");
-    assert!(error.to_string().contains("3 points where"), "{error}");
+    assert!(error.to_string().contains("3 points, but"), "{error}");
 }
 
 /// Naively seconds of a week were added to the name of a file, or to the time by which it is the n-th.
@@ -223,7 +223,7 @@ fn bare_numbers_are_read_where_they_can_be_a_scan() {
         .flat_map(|v| v.to_le_bytes())
         .collect();
     for (bytes, words) in [
-        (&kitti[..30], "no whole number of points"),
+        (&kitti[..30], "not a whole number of points"),
         (&three, "intensity = -4"),
     ] {
         let error = read("0.bin", bytes).expect_err(words).to_string();

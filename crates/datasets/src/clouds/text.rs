@@ -25,21 +25,21 @@ impl Lines<'_> {
             let words: Vec<&str> = line.split_whitespace().collect();
             if words.len() != self.words {
                 return Err(format!(
-                    "line {number}: {} words where the header announces {}",
+                    "line {number}: {} words, but the header says {}",
                     words.len(),
                     self.words
                 ));
             }
             for word in self.columns.iter().filter_map(|c| words.get(*c)) {
                 let value = number_of(word)
-                    .ok_or_else(|| format!("line {number}: {word:?} is no number"))?;
+                    .ok_or_else(|| format!("line {number}: {word:?} is not a number"))?;
                 data.extend(value.to_le_bytes());
             }
         }
         match found == self.points {
             true => Ok(data),
             false => Err(format!(
-                "{found} points where the header announces {}",
+                "{found} points, but the header says {}",
                 self.points
             )),
         }

@@ -99,7 +99,7 @@ impl Collected {
         self.used.insert(path.to_owned());
         if table.ends_within_a_line() {
             self.notes.push(format!(
-                "{}: its last line has no end: the file may have been cut there",
+                "{}: its last line is not terminated: the file may have been truncated there",
                 table.name()
             ));
         }
@@ -145,7 +145,7 @@ impl Collected {
                 path: source.to_owned(),
                 problem: match problem {
                     Some(problem) => format!("no record could be read; the first: {problem}"),
-                    None => "no record in it".to_owned(),
+                    None => "it has no records".to_owned(),
                 },
             });
         };

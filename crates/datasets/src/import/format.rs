@@ -87,10 +87,10 @@ impl Format {
                     path: source.to_owned(),
                     problem: match found.is_empty() {
                         true => format!(
-                            "no recording of a program that is known: {} are read; name a LaMAR session itself (sessions/NAME)",
+                            "not a supported recording: supported are {}; name a LaMAR session itself (sessions/NAME)",
                             list(&Self::ALL)
                         ),
-                        false => format!("it may be {}: say which with --format", list(&found)),
+                        false => format!("it may be {}: choose one with --format", list(&found)),
                     },
                 })
             }

@@ -53,7 +53,7 @@ pub fn euroc_images(folder: &Path, progress: ProgressFn<'_>) -> Result<Option<Eu
         };
         if let Some(problem) = &stream.counts.first_problem {
             notes.push(format!(
-                "{} lines of {} name no image; the first: {problem}",
+                "{} lines of {} do not name an image; the first: {problem}",
                 stream.counts.unreadable, stream.what
             ));
         }

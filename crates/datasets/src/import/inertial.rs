@@ -29,7 +29,7 @@ impl Collected {
         let alone = gyro.len() - combined.len();
         if alone > 0 {
             self.notes.push(format!(
-                "imu: {alone} samples of the gyroscope have none of the accelerometer on both sides: they are on the topic gyro alone"
+                "imu: {alone} gyroscope samples have no accelerometer samples before and after: they are on the topic gyro only"
             ));
         }
         let imu = self.stream("gyroscope with accelerometer", "imu", Kind::Imu);
@@ -102,7 +102,7 @@ mod tests {
         // Before the first, in a gap of a second, and behind the last there is none.
         assert_eq!(found, [(15, 3.0), (30, 8.0)]);
         assert!(
-            collected.notes[0].contains("3 samples"),
+            collected.notes[0].contains("3 gyroscope samples"),
             "{:?}",
             collected.notes
         );

@@ -34,7 +34,7 @@ pub(super) fn list_unused(source: &Path, collected: &mut Collected) -> Result<()
         *unused.entry(kind_of(source, file)).or_default() += 1;
     }
     for (what, count) in unused {
-        collected.leave_out(what, count, "nothing in a recording is made of it");
+        collected.leave_out(what, count, "not used");
     }
     Ok(())
 }
@@ -69,7 +69,7 @@ fn files_below(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Error> {
         if files.len() > MOST_FILES {
             return Err(Error::Recorded {
                 path: folder,
-                problem: format!("more than {MOST_FILES} files: name the folder of one recording"),
+                problem: format!("more than {MOST_FILES} files: give the folder of one recording"),
             });
         }
     }

@@ -98,7 +98,7 @@ pub fn import(
             return Err(io(
                 &beside(name),
                 std::io::Error::other(
-                    "is there already, and the source has such a trajectory too: --force replaces it, another --out keeps both",
+                    "exists already, and the source has such a trajectory too: --force replaces it, another --out keeps both",
                 ),
             ));
         }
@@ -151,7 +151,7 @@ fn leave_out_videos_that_do_not_match(collected: &mut Collected) {
             let why = match &counted {
                 Err(why) => why.clone(),
                 Ok(frames) if *frames != stream.counts.read => format!(
-                    "{frames} frames for {} stamps: which belongs to which is not known",
+                    "{frames} frames but {} stamps: which belong together is unknown",
                     stream.counts.read
                 ),
                 Ok(_) => continue,
@@ -161,7 +161,7 @@ fn leave_out_videos_that_do_not_match(collected: &mut Collected) {
         }
         if stamped == 0 {
             collected.notes.push(format!(
-                "{}: nothing stamps its frames: no image of it is imported",
+                "{}: its frames have no stamps: no image of it is imported",
                 path.display()
             ));
         }

@@ -56,7 +56,7 @@ impl Span<'_> {
 pub(super) fn look(streams: &[Stream]) -> (Option<Apart>, Vec<String>) {
     let empty = streams.iter().filter(|s| s.counts.read == 0 && !s.derived);
     let mut notes: Vec<String> = empty
-        .map(|s| format!("{}: no record in it", s.what))
+        .map(|s| format!("{}: it has no records", s.what))
         .collect();
     let spans: Vec<Span<'_>> = streams.iter().filter_map(span).collect();
     let apart = spans.iter().find_map(|a| {
@@ -84,7 +84,7 @@ pub(super) fn look(streams: &[Stream]) -> (Option<Apart>, Vec<String>) {
         if early_ns > TOGETHER_NS {
             let secs = early_ns as f64 / 1e9;
             notes.push(format!(
-                "{what}: ends {secs:.1} s before the last of the others: it may have been cut"
+                "{what}: ends {secs:.1} s before the last of the others: it may have been truncated"
             ));
         }
     }
@@ -102,12 +102,12 @@ fn elsewhere(stream: &Stream, first: Timestamp, last: Timestamp) -> Option<Strin
     let (from, to) = (stream.records.first()?.time, stream.records.last()?.time);
     let (ns, side) = match (first - to, from - last) {
         (before, _) if before > ELSEWHERE_NS => (before, "before the first"),
-        (_, behind) if behind > ELSEWHERE_NS => (behind, "behind the last"),
+        (_, behind) if behind > ELSEWHERE_NS => (behind, "after the last"),
         _ => return None,
     };
     let secs = ns as f64 / 1e9;
     Some(format!(
-        "{}: all of it lies {secs:.0} s {side} of the others",
+        "{}: all of it is {secs:.0} s {side} of the others",
         stream.what
     ))
 }

@@ -18,7 +18,7 @@ pub(super) fn unit_of_unix_stamp(text: &str) -> Option<StampUnit> {
 pub(super) fn parse(text: &str, unit: StampUnit) -> Result<i64, String> {
     let text = text.trim();
     nanos(text, unit.exponent().into())
-        .ok_or_else(|| format!("`{text}` is no stamp in {}", unit.sign()))
+        .ok_or_else(|| format!("`{text}` is not a stamp in {}", unit.sign()))
 }
 
 /// `decimals` of the unit make a nanosecond.

@@ -116,7 +116,7 @@ impl Stream {
         if let Some(first) = far.first() {
             let days = (first.time - middle) as f64 / FARTHEST_NS as f64;
             self.lose(far.len() as u64, || {
-                format!("{what}: a stamp lies {days:.0} days from the others")
+                format!("{what}: a stamp is {days:.0} days from the others")
             });
         }
         let steps = near.iter().zip(near.iter().skip(1));
@@ -161,7 +161,7 @@ impl Stream {
         self.lose((before - records.len()) as u64, || match first.runs.len() {
             1 => format!("{what}: stamps that go back by {secs:.1} s, at {} ns", end.nanos()),
             _ => format!(
-                "{what}: stamps go back by {secs:.1} s at {} ns, so that this time is told twice: the clock was set, or two recordings are in one; import each part alone",
+                "{what}: stamps go back by {secs:.1} s at {} ns, so that this time occurs twice: the clock was set, or two recordings were joined; import each part separately",
                 end.nanos()
             ),
         });
@@ -204,7 +204,7 @@ impl Stream {
         });
         if let Some(force) = force.filter(|f| !POSSIBLE_FORCE_M_S2.contains(f)) {
             return Some(format!(
-                "the median specific force is {force:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off"
+                "the median specific force is {force:.3} m/s² instead of gravity's 9.81: it is in another unit, or gravity was subtracted"
             ));
         }
         let rates = self.values(|payload| match payload {
@@ -215,7 +215,7 @@ impl Stream {
         for (share, most, time) in FASTEST_RAD_S {
             if let Some(rate) = quantile(rates.clone(), share).filter(|rate| *rate > most) {
                 return Some(format!(
-                    "the IMU measured turns of {rate:.1} rad/s and more {time} of the time, which nobody does: they are in degrees, or in another unit"
+                    "angular rates above {rate:.1} rad/s {time} of the time are implausible for a person: they are in degrees per second, or in another unit"
                 ));
             }
         }
@@ -226,7 +226,7 @@ impl Stream {
         });
         if let Some(field) = field.filter(|f| !POSSIBLE_FIELD_T.contains(f)) {
             return Some(format!(
-                "the median magnetic field is {field:.2e} T, that of the earth is 5e-5: it is in another unit"
+                "the median magnetic field is {field:.2e} T instead of the earth's 5e-5: it is in another unit"
             ));
         }
         let exposure = self.median(|payload| match payload {
@@ -235,7 +235,7 @@ impl Stream {
         });
         let exposure = exposure.filter(|e| !POSSIBLE_EXPOSURE_NS.contains(e));
         exposure.map(|exposure| {
-            format!("images are exposed for {exposure} ns: that is in another unit")
+            format!("an exposure time of {exposure} ns is implausible: it is in another unit")
         })
     }
 

@@ -99,7 +99,7 @@ impl Table {
 pub(super) fn possible_dbm(value: f64) -> Result<i16, String> {
     match (-200.0..=20.0).contains(&value) {
         true => Ok(value.round() as i16),
-        false => Err(format!("{value} dBm is no received power")),
+        false => Err(format!("{value} dBm is not a plausible received power")),
     }
 }
 
@@ -110,7 +110,7 @@ pub(super) fn possible_mhz(value: f64) -> Result<u32, String> {
         .into_iter()
         .find(|mhz| (700.0..72_000.0).contains(mhz));
     let found = found.map(|mhz| mhz.round() as u32);
-    found.ok_or_else(|| format!("{value} is no frequency of Wi-Fi"))
+    found.ok_or_else(|| format!("{value} is not a Wi-Fi frequency"))
 }
 
 impl Row<'_> {
@@ -140,7 +140,7 @@ impl Row<'_> {
         let value: Option<f64> = text.parse().ok();
         value
             .filter(|v| v.is_finite())
-            .ok_or_else(|| format!("`{text}` in column {} is no number", cell + 1))
+            .ok_or_else(|| format!("`{text}` in column {} is not a number", cell + 1))
     }
 
     /// Numbers in neighbouring cells.
@@ -155,8 +155,12 @@ impl Row<'_> {
     /// A whole number of a type.
     pub(super) fn whole<T: std::str::FromStr>(&self, cell: usize) -> Result<T, String> {
         let text = self.text(cell);
-        text.parse()
-            .map_err(|_| format!("`{text}` in column {} is no such whole number", cell + 1))
+        text.parse().map_err(|_| {
+            format!(
+                "`{text}` in column {} is not a whole number in range",
+                cell + 1
+            )
+        })
     }
 
     /// A received power, dBm; some apps write it with decimals.

@@ -170,7 +170,7 @@ fn damaged_lines_are_counted_and_never_imported() {
                 )
             }),
             [400, 399, 1, 0],
-            "`nan` in column 2 is no number",
+            "`nan` in column 2 is not a number",
         ),
         (
             "two in one",
@@ -200,7 +200,7 @@ fn damaged_lines_are_counted_and_never_imported() {
             "no stamp",
             Box::new(|t| format!("{t}x,0.1,-0.2,0.3,0.0,0.0,9.81\n")),
             [401, 400, 1, 0],
-            "`x` is no stamp in ns",
+            "`x` is not a stamp in ns",
         ),
         (
             "another year",
@@ -247,7 +247,10 @@ fn a_last_line_without_end_is_told() {
     });
     let (report, _) = imported(folder.path());
     assert!(
-        report.notes.iter().any(|n| n.contains("may have been cut")),
+        report
+            .notes
+            .iter()
+            .any(|n| n.contains("may have been truncated")),
         "{:?}",
         report.notes
     );
@@ -329,7 +332,7 @@ fn trajectories_are_not_replaced_and_lose_no_pose() {
     };
     std::fs::write(tum, "somebody's\n").expect("file");
     let error = run(false).expect_err("refused").to_string();
-    assert!(error.contains("is there already"), "{error}");
+    assert!(error.contains("exists already"), "{error}");
     assert_eq!(std::fs::read_to_string(tum).expect("file"), "somebody's\n");
     run(true).expect("replaced");
     assert!(std::fs::read_to_string(tum).expect("file").lines().count() >= 2);
@@ -444,7 +447,7 @@ fn units_and_clocks_that_cannot_be_are_refused() {
         (
             "imu0",
             Box::new(numbers(1, 4, "20.0")),
-            "turns of 34.6 rad/s",
+            "angular rates above 34.6 rad/s",
         ),
         // An hour.
         ("imu0", Box::new(later), "different clocks"),
@@ -473,7 +476,7 @@ fn numbers_of_other_units_in_ios_logger_are_refused() {
     };
     let (report, _) = imported(texts("0,0,-1", "20,5,-40", "46.5").path());
     assert_eq!(report.unreadable(), 0);
-    assert!(report.notes.iter().any(|n| n == "no Gyro.txt in it"));
+    assert!(report.notes.iter().any(|n| n == "it has no Gyro.txt"));
     let error = refused(texts("0,0,-9.8", "20,5,-40", "46.5").path());
     assert!(error.contains("median specific force is 96"), "{error}");
     let error = refused(texts("0,0,-1", "2e-5,5e-6,-4e-5", "46.5").path());
@@ -485,7 +488,7 @@ fn numbers_of_other_units_in_ios_logger_are_refused() {
         text.replace("1627530745", "1627537945")
     });
     let (report, _) = imported(folder.path());
-    let behind = "GPS.txt: all of it lies 7200 s behind the last of the others";
+    let behind = "GPS.txt: all of it is 7200 s after the last of the others";
     assert!(
         report.notes.iter().any(|n| n == behind),
         "{:?}",
@@ -511,7 +514,7 @@ fn streams_that_end_early_are_empty_or_doubled_are_told() {
     edit(&folder, "mav0/imu0/data.csv", |_| "#timestamp\n".to_owned());
     let (report, _) = imported(folder.path());
     assert!(
-        said(&report, "imu0/data.csv: no record in it"),
+        said(&report, "imu0/data.csv: it has no records"),
         "{:?}",
         report.notes
     );
@@ -548,7 +551,10 @@ fn streams_that_end_early_are_empty_or_doubled_are_told() {
     mhz.sort_unstable();
     assert_eq!(mhz, [2412, 2412, 2412, 5180, 5180, 5180]);
     let error = import(&positive).expect_err("refused").to_string();
-    assert!(error.contains("50 dBm is no received power"), "{error}");
+    assert!(
+        error.contains("50 dBm is not a plausible received power"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -589,11 +595,15 @@ fn images_that_are_not_there_or_of_another_size_are_counted() {
 #[test]
 fn a_calibration_that_cannot_be_true_is_refused() {
     for (from, to, why) in [
-        ("data: [0.0, -1.0", "data: [0.0, -2.0", "no rigid transform"),
+        (
+            "data: [0.0, -1.0",
+            "data: [0.0, -2.0",
+            "not a rigid transform",
+        ),
         (
             "camera_model: pinhole",
             "camera_model: omni",
-            "no lens that is known",
+            "is not supported",
         ),
         ("resolution", "size", "no resolution"),
     ] {
@@ -613,10 +623,7 @@ fn a_calibration_that_cannot_be_true_is_refused() {
 fn sources_of_no_known_program_are_told_apart() {
     let folder = tempfile::tempdir().expect("folder");
     let error = refused(folder.path());
-    assert!(
-        error.contains("no recording of a program that is known"),
-        "{error}"
-    );
+    assert!(error.contains("not a supported recording"), "{error}");
     let missing = import(
         Path::new("nowhere"),
         Path::new("x.mcap"),
@@ -633,11 +640,11 @@ fn sources_of_no_known_program_are_told_apart() {
     std::fs::write(folder.path().join("data.jsonl"), "").expect("file");
     let error = refused(folder.path());
     assert!(
-        error.contains("mars-logger, spectacular-rec: say which with --format"),
+        error.contains("mars-logger, spectacular-rec: choose one with --format"),
         "{error}"
     );
     std::fs::remove_file(folder.path().join("data.jsonl")).expect("removed");
-    assert!(refused(folder.path()).contains("no record in it"));
+    assert!(refused(folder.path()).contains("it has no records"));
 }
 
 #[test]

@@ -42,15 +42,15 @@ fn base(video: &Path) -> Command {
 fn absent(error: &std::io::Error) -> String {
     match error.kind() {
         std::io::ErrorKind::NotFound => {
-            "no `ffmpeg` on this system to decode the video: install it (apt install ffmpeg), and import again".to_owned()
+            "`ffmpeg` is missing, which decodes the video: install it (apt install ffmpeg), and import again".to_owned()
         }
-        _ => format!("ffmpeg does not run: {error}"),
+        _ => format!("ffmpeg cannot be started: {error}"),
     }
 }
 
 fn refused(video: &Path) -> String {
     format!(
-        "ffmpeg cannot read it: see why with `ffmpeg -i {} -f null -`",
+        "ffmpeg cannot read it: run `ffmpeg -i {} -f null -` for the reason",
         video.display()
     )
 }
@@ -89,7 +89,9 @@ impl Frames {
     /// A frame by its number, which is larger than that of the one before.
     pub(super) fn read(&mut self, number: u32) -> Result<Image, String> {
         if number < self.next {
-            return Err(format!("frame {number} is stamped behind a later one"));
+            return Err(format!(
+                "frame {number} has a stamp later than the next one"
+            ));
         }
         loop {
             let image = self.decode()?;
@@ -101,7 +103,7 @@ impl Frames {
     }
 
     fn decode(&mut self) -> Result<Image, String> {
-        let ends = || "the video ends before its stamps do".to_owned();
+        let ends = || "the video ends before its stamps".to_owned();
         if self.line()? != "P5" {
             return Err(ends());
         }

@@ -73,7 +73,7 @@ pub(super) fn write(
     }
     if writing.of_two_clocks > 0 {
         writing.collected.notes.push(format!(
-            "the points of {} scans have times of another clock than their stamps: of them only the differences are used",
+            "the points of {} scans have times of another clock than their stamps: only their differences are used",
             writing.of_two_clocks
         ));
     }
@@ -191,7 +191,7 @@ impl Writing<'_> {
         match (image.width, image.height) == (width, height) {
             true => Ok(image),
             false => Err(format!(
-                "an image of {} × {} pixels, calibrated for {width} × {height}",
+                "an image of {} × {} pixels, but calibrated for {width} × {height}",
                 image.width, image.height
             )),
         }

@@ -21,7 +21,7 @@ pub(super) fn imu(layout: Layout, bytes: &[u8]) -> Result<(Timestamp, String, Im
     let (header, angular_velocity_rad_s, specific_force_m_s2) = sample().map_err(said)?;
     let finite = |v: &[f64; 3]| v.iter().all(|x| x.is_finite());
     if !(finite(&angular_velocity_rad_s) && finite(&specific_force_m_s2)) {
-        return Err("a sample that is no number".to_owned());
+        return Err("a sample that is not a number".to_owned());
     }
     let sample = ImuSample {
         angular_velocity_rad_s,
@@ -173,7 +173,7 @@ impl Pixel {
             "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => Self::Bayer,
             other => {
                 return Err(format!(
-                    "images {other} are not read: mono8, mono16, rgb8, bgr8, their kinds with alpha, yuv422 and bayer_*8 are"
+                    "image encoding {other} is not supported: use mono8, mono16, rgb8, bgr8, rgba8, bgra8, yuv422 or bayer_*8"
                 ));
             }
         })

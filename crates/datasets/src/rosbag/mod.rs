@@ -107,7 +107,7 @@ impl RosBag {
             COMPRESSED_IMAGE => message::compressed_image,
             other => {
                 let problem = format!(
-                    "{topic} has messages {other}, {IMAGE} or {COMPRESSED_IMAGE} are needed; images are on {}",
+                    "{topic} has messages {other}, but {IMAGE} or {COMPRESSED_IMAGE} are needed; images are on {}",
                     self.listed(&[IMAGE, COMPRESSED_IMAGE])
                 );
                 return Err(self.wrong(problem).into());
@@ -161,11 +161,11 @@ impl RosBag {
                 let read: Vec<&str> = lidar_packet_types().collect();
                 let read = read.join(", ");
                 Err(self.wrong(format!(
-                    "no topic of scans: {CLOUD}, {read} are read; there is {kinds}"
+                    "no topic with scans: {CLOUD}, {read} are supported; it has {kinds}"
                 )))
             }
             _ => Err(self.wrong(format!(
-                "several LiDARs: name the topic of one with --lidar-topic: {}",
+                "several LiDARs: choose a topic with --lidar-topic: {}",
                 names()
             ))),
         }
@@ -254,7 +254,7 @@ impl RosBag {
             (None, []) => return Err(self.wrong(format!("no topic with messages {IMU}"))),
             (None, _) => {
                 return Err(self.wrong(format!(
-                    "several IMUs: name the topic of one with --imu: {}",
+                    "several IMUs: choose a topic with --imu: {}",
                     self.listed(&[IMU])
                 )));
             }

@@ -97,7 +97,7 @@ pub(super) fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
         if name.ends_with(".zstd") {
             return Err(unreadable(
                 &path,
-                "a bag that was compressed as a whole: unpack it with `zstd -d` first",
+                "a bag that was compressed as a whole: decompress it with `zstd -d` first",
             ));
         }
         if is_file_of_one(&path) {
@@ -134,7 +134,7 @@ pub(super) fn missing_parts(folder: &Path, parts: &[PathBuf]) -> Vec<String> {
         names.any(|part| part.to_str() == Some(name.as_str()))
     };
     let missing = listed.map(name_of).filter(|name| !is_there(name));
-    let said = |name| format!("{} names {name}, which is not there", described.display());
+    let said = |name| format!("{} names {name}, which is missing", described.display());
     missing.map(said).collect()
 }
 

@@ -61,11 +61,13 @@ impl Extent {
         };
         let is_short = self.announced_chunks.is_some_and(|all| all > self.chunks);
         if self.index_pos == Some(0) {
-            let found =
-                "the bag was not closed and has no index: what its recorder held back is not in it";
-            Some(format!("{found}; {} are read", of(self.chunks)))
+            let found = "the bag was not closed and has no index: messages that its recorder had buffered are missing";
+            Some(format!("{found}; {} were read", of(self.chunks)))
         } else if end == End::Torn || is_short || self.index_pos.is_some_and(|at| at > bytes) {
-            Some(format!("the bag is cut off: {} are there", of(self.chunks)))
+            Some(format!(
+                "the bag is truncated: {} are present",
+                of(self.chunks)
+            ))
         } else {
             None
         }
@@ -158,7 +160,7 @@ impl Bag {
         let mut magic = [0; MAGIC.len()];
         let is_bag = file.read_exact(&mut magic).is_ok() && magic == MAGIC;
         if !is_bag {
-            return Err(wrong("no ROS bag of version 2.0".to_owned()));
+            return Err(wrong("not a ROS bag of version 2.0".to_owned()));
         }
         loop {
             if file.fill_buf().map_err(io)?.is_empty() {
@@ -205,7 +207,7 @@ fn inner(rest: &mut &[u8]) -> Result<(Vec<u8>, Vec<u8>), String> {
     let header = block(rest, LONGEST_HEADER)?;
     let data = block(rest, LONGEST_DATA)?;
     let both = header.zip(data);
-    both.ok_or_else(|| "a chunk that is cut short".to_owned())
+    both.ok_or_else(|| "a truncated chunk".to_owned())
 }
 
 /// A length and as many bytes; `None` where the input ends before them.
@@ -235,7 +237,7 @@ impl<'a> Record<'a> {
         let fields = fields(header)?;
         let kind = match fields.get(b"op".as_slice()) {
             Some([kind]) => *kind,
-            _ => return Err("a record without its kind".to_owned()),
+            _ => return Err("a record without a type".to_owned()),
         };
         Ok(Self { kind, fields, data })
     }
@@ -256,7 +258,7 @@ impl<'a> Record<'a> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         let of_data = fields(self.data)?;
         let kind = of_data.get(b"type".as_slice());
-        let kind = kind.ok_or("a connection without its type")?;
+        let kind = kind.ok_or("a connection without a type")?;
         let connection = (text(self.field("topic")?), text(kind));
         Ok((self.u32("conn")?, connection))
     }
@@ -282,14 +284,14 @@ impl<'a> Record<'a> {
             b"bz2" => unpack(&mut bzip2::read::BzDecoder::new(self.data))?,
             other => {
                 return Err(format!(
-                    "chunks packed with {}: none, lz4 and bz2 are read",
+                    "chunk compression {} is not supported: use none, lz4 or bz2",
                     String::from_utf8_lossy(other)
                 ));
             }
         };
         if bytes.len() != size {
             return Err(format!(
-                "a chunk of {} bytes, {size} were announced",
+                "a chunk of {} bytes, but {size} were announced",
                 bytes.len()
             ));
         }
@@ -302,7 +304,7 @@ fn fields(mut header: &[u8]) -> Result<BTreeMap<&[u8], &[u8]>, String> {
     let mut fields = BTreeMap::new();
     while let Some((length, rest)) = header.split_first_chunk::<4>() {
         let length = u32::from_le_bytes(*length) as usize;
-        let field = rest.get(..length).ok_or("a header that is cut short")?;
+        let field = rest.get(..length).ok_or("a truncated header")?;
         let equals = field.iter().position(|b| *b == b'=');
         let equals = equals.ok_or("a field without a value")?;
         fields.insert(&field[..equals], &field[equals + 1..]);

@@ -16,7 +16,7 @@ pub(super) struct Database {
 
 impl Database {
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let wrong = |e: rusqlite::Error| unreadable(path, format!("no database of rosbag2 ({e})"));
+        let wrong = |e: rusqlite::Error| unreadable(path, format!("not a rosbag2 database ({e})"));
         // sqlite would report a missing file without its cause.
         std::fs::metadata(path).map_err(|source| Error::Io {
             path: path.to_owned(),
@@ -38,7 +38,9 @@ impl Database {
             if format != "cdr" {
                 return Err(unreadable(
                     path,
-                    format!("messages of {name} are written in {format}, cdr is read"),
+                    format!(
+                        "messages of {name} are serialized as {format}, but only cdr is supported"
+                    ),
                 ));
             }
             topics.push((id, name, kind));
@@ -69,7 +71,7 @@ impl Database {
             while let Some(row) = rows.next().map_err(wrong)? {
                 let data = row.get_ref(0).map_err(wrong)?;
                 let bytes = data.as_blob();
-                each(bytes.map_err(|_| "a message that is no blob".to_owned()))
+                each(bytes.map_err(|_| "a message that is not a blob".to_owned()))
                     .map_err(|problem| unreadable(&self.path, problem))?;
             }
         }

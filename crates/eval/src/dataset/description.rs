@@ -98,7 +98,7 @@ impl Description {
             what,
         };
         if std::fs::metadata(&path).map_err(io)?.len() > MAX_BYTES {
-            return Err(bad("too large for the description of a dataset".to_owned()));
+            return Err(bad("too large for a dataset description".to_owned()));
         }
         let text = std::fs::read_to_string(&path).map_err(io)?;
         let description: Self =
@@ -128,7 +128,7 @@ impl Description {
     fn check(&self) -> Result<(), String> {
         if self.format != FORMAT {
             return Err(format!(
-                "format {}, and this program knows {FORMAT}",
+                "format {} is not supported, only {FORMAT}",
                 self.format
             ));
         }
@@ -156,11 +156,11 @@ fn named_once<'a>(kind: &str, names: impl Iterator<Item = &'a str>) -> Result<()
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.+".contains(c);
         if name.is_empty() || name.starts_with('.') || !name.chars().all(is_plain) {
             return Err(format!(
-                "{kind} '{name}' is no name: letters, digits, - _ . and +"
+                "{kind} '{name}' is not a valid name: use letters, digits, - _ . and +"
             ));
         }
         if !seen.insert(name) {
-            return Err(format!("{kind} '{name}' is there twice"));
+            return Err(format!("{kind} '{name}' occurs twice"));
         }
     }
     Ok(())

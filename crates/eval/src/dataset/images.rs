@@ -66,7 +66,7 @@ pub fn image_figures(
             size_px = [image.sample.width, image.sample.height];
             exposures.push((image.time, image.sample.exposure_ns));
             progress(Progress {
-                stage: "looking at images",
+                stage: "measuring images",
                 done: exposures.len() as u64,
                 total: topic.messages,
             })?;

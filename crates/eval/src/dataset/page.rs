@@ -132,7 +132,7 @@ impl EstimateView {
         let ate = &self.evaluation.ate_translation_m;
         let report = self.report();
         html! {
-            h2 { (self.sequence) " against its truth: ATE rms " (format!("{:.3} m, at most {:.3} m", ate.rmse, ate.max)) }
+            h2 { (self.sequence) " vs. its truth: ATE rms " (format!("{:.3} m, at most {:.3} m", ate.rmse, ate.max)) }
             div.pair { (from_above_section(&report)) (errors_section(&report)) }
         }
     }

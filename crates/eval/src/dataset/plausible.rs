@@ -78,7 +78,7 @@ pub fn judge_measured(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> 
                 "motion",
                 Verdict::Unknown,
                 name,
-                "no truth: how it moved is not known",
+                "without its truth, the motion is unknown",
             )
             .remedy("put the folder truth beside the recordings"),
         ),
@@ -105,14 +105,14 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
     let mut findings = Vec::new();
     let [off_frames, _] = OFF_PLAN;
     if measured.images.cameras.is_empty() {
-        findings.push(Finding::new("images", Verdict::Fail, name, "has no image"));
+        findings.push(Finding::new("images", Verdict::Fail, name, "has no images"));
     }
     if measured.inertial_samples == 0 {
         findings.push(Finding::new(
             "imu",
             Verdict::Fail,
             name,
-            "has no inertial sample",
+            "has no IMU samples",
         ));
     }
     for camera in &measured.images.cameras {
@@ -130,7 +130,7 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
             limit,
         ));
         let off = (camera.rate_hz / rate_hz - 1.0).abs();
-        let what = format!("{:.2} images a second, {rate_hz} planned", camera.rate_hz);
+        let what = format!("{:.2} images per second, {rate_hz} planned", camera.rate_hz);
         let limit = Limit::AtMost(100.0 * OFF_RATE);
         findings.push(judged(
             "rate",
@@ -143,9 +143,9 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
         ));
         let back = camera.not_rising as f64;
         let what = match camera.not_rising {
-            0 => "stamps rise from image to image".to_owned(),
-            1 => "once a stamp is not behind the one before".to_owned(),
-            n => format!("{n} stamps are not behind the one before"),
+            0 => "stamps increase from image to image".to_owned(),
+            1 => "one stamp is not later than the previous one".to_owned(),
+            n => format!("{n} stamps are not later than the previous ones"),
         };
         let rise = judged(
             "stamps",
@@ -156,7 +156,7 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
             "",
             Limit::AtMost(0.0),
         );
-        findings.push(rise.remedy("see what sets the camera's clock with `lsfb clock`"));
+        findings.push(rise.remedy("check what sets the camera's clock with `lsfb clock`"));
         let gap_s = camera.longest_gap_s;
         let what = format!("{} gaps, the longest {gap_s:.2} s", camera.gaps);
         let limit = Limit::AtMost(LONGEST_GAP_S);
@@ -195,7 +195,7 @@ fn motions(measured: &SequenceFigures, motion: &MotionFigures) -> Vec<Finding> {
     ));
     let [_, _, turning_deg_s] = motion.turning_deg_s;
     let limit = Limit::AtMost(FASTEST_TURN_DEG_S);
-    let what = format!("turns by up to {turning_deg_s:.0} °/s");
+    let what = format!("rotates at up to {turning_deg_s:.0} °/s");
     findings.push(judged(
         "turning",
         Verdict::Fail,
@@ -207,7 +207,7 @@ fn motions(measured: &SequenceFigures, motion: &MotionFigures) -> Vec<Finding> {
     ));
     let gap_s = motion.longest_gap_s;
     let limit = Limit::AtMost(LONGEST_GAP_S);
-    let what = format!("true poses are up to {gap_s:.2} s apart");
+    let what = format!("gaps between true poses are up to {gap_s:.2} s");
     findings.push(judged(
         "truth-gap",
         Verdict::Warn,
@@ -271,7 +271,7 @@ fn mean_speed(name: &str, gait: Gait, mean_m_s: f64, what: &str) -> Finding {
         "m/s",
         limit,
     )
-    .remedy("check length, number of images and stamps")
+    .remedy("check the length, the number of images and the stamps")
 }
 
 fn judged(

@@ -113,7 +113,7 @@ fn read(path: &Path) -> Result<BTreeMap<String, String>, Error> {
                 .all(|c| matches!(c, Component::Normal(_)))
         };
         let Some((sum, name)) = parts.filter(|(sum, name)| is_hash(sum) && is_below(name)) else {
-            return Err(bad(format!("line {number} is no hash and file")));
+            return Err(bad(format!("line {number} is not a hash and a file")));
         };
         if listed.insert(name.to_owned(), sum.to_lowercase()).is_some() {
             return Err(bad(format!("line {number}: {name} is listed twice")));
@@ -144,14 +144,14 @@ fn files(folder: &Path, but: Option<&str>) -> Result<Vec<String>, Error> {
             let name = path
                 .to_str()
                 .filter(|name| !name.contains(['\n', '\r', '\\']));
-            let name = name.ok_or_else(|| bad("no name that a list of hashes can hold"))?;
+            let name = name.ok_or_else(|| bad("its name cannot be in a list of hashes"))?;
             if kind.is_dir() {
                 if but != Some(name) {
                     waiting.push(path);
                 }
             } else if !kind.is_file() {
                 return Err(bad(
-                    "neither a file nor a folder: a dataset holds its files itself",
+                    "neither a file nor a folder: a dataset must contain its files",
                 ));
             } else if name != SUMS {
                 found.push(name.to_owned());

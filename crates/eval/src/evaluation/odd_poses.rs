@@ -48,13 +48,13 @@ pub(super) fn held(pairs: &[PosePair]) -> Option<Finding> {
     (count >= LEAST_HELD && share > HELD_SHARE).then(|| {
         let [x, y, z]: [f64; 3] = at.into();
         let what = format!(
-            "{count} of {} poses are exactly where another is though the truth moved: {most} at ({x:.3}, {y:.3}, {z:.3}), while it moved by up to {moved_m:.2} m",
+            "{count} of {} poses are exactly equal to another although the truth moved: {most} at ({x:.3}, {y:.3}, {z:.3}), while it moved by up to {moved_m:.2} m",
             pairs.len()
         );
         Finding::new("held", Verdict::Warn, "positions", what)
             .value(100.0 * share, "%")
             .limit(Limit::AtMost(100.0 * HELD_SHARE))
-            .remedy("leave out what the system does not know: poses that are held or filled in count as errors, and as covered")
+            .remedy("leave out poses that the system does not know: held or filled-in poses count as errors, and as covered")
     })
 }
 
@@ -81,7 +81,7 @@ pub(super) fn outliers(pairs: &[PosePair], errors_m: &[f64]) -> Option<Finding> 
     let (count, rest_m) = (found + 1, without[found]);
     let worst = pairs.get(order[0])?;
     let what = format!(
-        "{} most of the error: without {} it is {rest_m:.4} m rms and not {all_m:.4} m; the worst is off by {:.3} m at {} s",
+        "{} most of the error: without {} it is {rest_m:.4} m rms instead of {all_m:.4} m; the worst is off by {:.3} m at {} s",
         match count {
             1 => "one pose makes".to_owned(),
             count => format!("{count} of {} poses make", order.len()),
@@ -93,6 +93,6 @@ pub(super) fn outliers(pairs: &[PosePair], errors_m: &[f64]) -> Option<Finding> 
     Some(
         Finding::new("outliers", Verdict::Warn, "positions", what)
             .value(count as f64, "")
-            .remedy("look at these poses: the mean error says nothing of them, nor of the others; the median does"),
+            .remedy("look at these poses: the mean error describes neither them nor the others; the median does"),
     )
 }

@@ -65,7 +65,7 @@ pub(super) fn deltas(rpe: &RpeFigures) -> Option<Finding> {
     if rpe.left_out_pairs > 0 {
         let all = rpe.pairs + rpe.left_out_pairs;
         let what = format!(
-            "{} of {all} pairs are left out: poses are missing, and the next is more than {:.0} % beyond the delta",
+            "{} of {all} pairs are left out because poses are missing: the next one is more than {:.0} % beyond the delta",
             rpe.left_out_pairs,
             100.0 * CONSECUTIVE_TOLERANCE
         );
@@ -79,7 +79,7 @@ pub(super) fn deltas(rpe: &RpeFigures) -> Option<Finding> {
     let is_long = rpe.median_delta > most || rpe.longest_delta > MOST_LONGER * rpe.delta;
     (is_long && rpe.long_pairs > 0).then(|| {
         let what = format!(
-            "{} of {} pairs are more than {:.0} % longer than the delta: {:.3} {unit} by the median, {:.3} {unit} at most",
+            "{} of {} pairs are more than {:.0} % longer than the delta: {:.3} {unit} median, {:.3} {unit} at most",
             rpe.long_pairs,
             rpe.pairs,
             100.0 * CONSECUTIVE_TOLERANCE,
@@ -89,6 +89,6 @@ pub(super) fn deltas(rpe: &RpeFigures) -> Option<Finding> {
         Finding::new("rpe-pairs", Verdict::Warn, per, what)
             .value(rpe.median_delta, unit.symbol())
             .limit(Limit::AtMost(most))
-            .remedy("take pairs that are as long as said (--rpe-all-pairs), or a delta that is long against the steps between poses")
+            .remedy("use pairs of the requested length (--rpe-all-pairs), or a delta that is large compared with the steps between poses")
     })
 }

@@ -51,8 +51,8 @@ const ALIKE: f64 = 0.05;
 pub(super) fn duplicates(count: usize) -> Option<Finding> {
     let what = match count {
         0 => return None,
-        1 => "one pose repeats the stamp of the pose before it".to_owned(),
-        n => format!("{n} poses repeat the stamp of the pose before them"),
+        1 => "one pose repeats the stamp of the previous pose".to_owned(),
+        n => format!("{n} poses repeat the stamp of the previous pose"),
     };
     Some(Finding::new("duplicate-stamps", Verdict::Warn, "stamps", what).value(count as f64, ""))
 }
@@ -68,17 +68,17 @@ pub(super) fn rows_by_number(truth: &TrajectoryFile, estimate: &TrajectoryFile) 
     let [all, own] = [truth, estimate].map(|file| file.poses.len());
     (is_numbered(truth) && is_numbered(estimate) && all != own).then(|| {
         let what = format!(
-            "neither file has stamps, and {own} rows stand beside {all} of the truth: which belong together is not known"
+            "neither file has stamps, and {own} rows face {all} of the truth: which of them belong together is unknown"
         );
         Finding::new(NO_STAMPS, Verdict::Fail, "stamps", what)
-            .remedy("write both with stamps (TUM), or a row for every frame")
+            .remedy("write both with stamps (TUM), or one row for every frame")
     })
 }
 
 /// Covariances none of which can be one: ROS has zeros where nothing is known.
 pub(super) fn no_covariance(count: usize) -> Finding {
     let what = format!(
-        "none of the {count} covariances is one (not positive definite): whether errors are as large as stated is not known"
+        "none of the {count} covariances is positive definite: the consistency of the errors is unknown"
     );
     Finding::new("consistency", Verdict::Unknown, "covariance", what)
 }
@@ -178,20 +178,20 @@ fn matches(found: &Evaluation) -> Finding {
     Finding::new("matches", verdict, "stamps", what)
         .value(100.0 * share, "%")
         .limit(Limit::AtLeast(100.0 * LEAST_MATCHED))
-        .remedy("check that both have one clock, or raise the allowed difference of stamps")
+        .remedy("check that both use one clock, or raise the allowed stamp difference")
 }
 
 /// Through few poses everything fits: their errors say nothing, however small.
 fn few_poses(found: &Evaluation, parameters: usize) -> Option<Finding> {
     let freedom = (3 * found.matched_poses) as f64 - parameters as f64;
     let what = format!(
-        "only {} poses match: too few for a result, aligned by {} their errors have {freedom} degrees of freedom",
+        "only {} poses match: too few for a result; aligned by {}, their errors have {freedom} degrees of freedom",
         found.matched_poses, found.alignment
     );
     let finding = Finding::new("few-poses", Verdict::Fail, "stamps", what)
         .value(freedom, "")
         .limit(Limit::AtLeast(LEAST_FREEDOM))
-        .remedy("check that both are of one time; evaluate a longer part, or every frame and not keyframes alone");
+        .remedy("check that both are of the same time; evaluate a longer part, or every frame instead of keyframes only");
     (freedom < LEAST_FREEDOM).then_some(finding)
 }
 
@@ -217,13 +217,13 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
     };
     if scatter_m < LEAST_ERROR_M {
         let what = format!(
-            "the ground truth stays in one place: errors of {best_m:.3} m rms are how far the estimate is from it, and nothing says that it is of this walk"
+            "the ground truth stays in one place: errors of {best_m:.3} m rms only show how far the estimate is from it, and not that they belong to the same walk"
         );
         return Some(
             Finding::new("follows", Verdict::Warn, "positions", what)
                 .value(scatter_m, "m")
                 .remedy(
-                    "check which file the ground truth is, and which of its columns the position",
+                    "check that this is the right ground truth, and which of its columns are the position",
                 ),
         );
     }
@@ -232,14 +232,14 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
     }
     if of_all < LEAST_EXPLAINED {
         let what = format!(
-            "the estimate does not follow the ground truth: it misses by {best_m:.3} m rms in its best place and size, where the truth's positions scatter by {scatter_m:.3} m rms"
+            "the estimate does not follow the ground truth: its error is {best_m:.3} m rms after the best alignment with scale, where the truth's positions scatter by {scatter_m:.3} m rms"
         );
-        return Some(finding(Verdict::Fail, of_all, what).remedy("check that both are of one walk, and by `lsfb align` that both have one clock; else the system was lost"));
+        return Some(finding(Verdict::Fail, of_all, what).remedy("check that both belong to one walk, and with `lsfb align` that they use one clock; otherwise the system lost track"));
     }
     // Exactly straight and even, there are no bends to explain.
     if !(of_bends >= LEAST_EXPLAINED) {
         let what = format!(
-            "the walk is nearly straight and even, and any other such walk fits it as well: with errors of {best_m:.3} m rms nothing says that the estimate is of this one"
+            "the walk is nearly straight and uniform, and any other such walk fits as well: errors of {best_m:.3} m rms do not show that the estimate belongs to this one"
         );
         let of_bends = if of_bends.is_finite() { of_bends } else { 0.0 };
         return Some(
@@ -256,7 +256,7 @@ fn same(found: &Evaluation) -> Option<Finding> {
     let best_m = errors.min_by(f64::total_cmp)?;
     (best_m < LEAST_ERROR_M).then(|| {
         let what = format!(
-            "the estimate is the ground truth: {best_m:.1e} m rms is less than any estimate's error"
+            "the estimate is the ground truth: {best_m:.1e} m rms is less than the error of any estimate"
         );
         Finding::new("same", Verdict::Warn, "positions", what)
             .value(best_m, "m")
@@ -286,7 +286,8 @@ fn copied(pairs: &[PosePair]) -> Option<Finding> {
             .remedy("check which file was evaluated, and that the system cannot read the truth")
     };
     if is_many(equal, COPIED_SHARE) {
-        let what = format!("{equal} of {all} poses of the estimate are the ground truth's own");
+        let what =
+            format!("{equal} of {all} poses of the estimate are identical to the ground truth");
         return Some(finding(what, equal));
     }
     let digits = (1..=6).find(|digits| {
@@ -301,7 +302,7 @@ fn copied(pairs: &[PosePair]) -> Option<Finding> {
         let rounded = moving.iter().filter(is_rounded).count();
         is_many(rounded, ROUNDED_SHARE)
     })?;
-    let what = format!("the estimate is the ground truth with {digits} digits behind the point");
+    let what = format!("the estimate is the ground truth rounded to {digits} decimals");
     Some(finding(what, all))
 }
 
@@ -312,7 +313,7 @@ fn unit(found: &Evaluation) -> Option<Finding> {
         .iter()
         .find(|(times, _)| (larger / times - 1.0).abs() < ALIKE)?;
     let what = format!(
-        "the estimate is {larger:.4} times as large as the ground truth: is it in {unit}, or the truth in another unit than metres?"
+        "the estimate is {larger:.4} times as large as the ground truth: is it in {unit}, or is the truth not in metres?"
     );
     let finding = Finding::new("unit", Verdict::Warn, "positions", what).value(larger, "");
     Some(finding.remedy("write both in metres, and evaluate again"))
@@ -328,11 +329,11 @@ fn scale(found: &Evaluation) -> Option<Finding> {
     let is_of_size = found.alignment != free && free_m < LESS * own_m;
     (is_of_size && !(1.0 - MOST_SCALE..1.0 + MOST_SCALE).contains(&larger)).then(|| {
         let what = format!(
-            "the estimate is {larger:.4} times as large as the ground truth: aligned with a scale, its error is {free_m:.4} m rms and not {own_m:.4} m"
+            "the estimate is {larger:.4} times as large as the ground truth: aligned with a scale, its error is {free_m:.4} m rms instead of {own_m:.4} m"
         );
         Finding::new("scale", Verdict::Warn, "positions", what)
             .value(larger, "")
-            .remedy("align by sim3 what cannot know its scale; else look for another unit (a foot has 0.3048 m, a yard 0.9144 m)")
+            .remedy("align by sim3 if the system cannot observe scale; otherwise look for another unit (a foot is 0.3048 m, a yard 0.9144 m)")
     })
 }
 
@@ -374,7 +375,7 @@ fn line(pairs: &[PosePair]) -> Option<Finding> {
     let ratio = extents[1] / extents[0];
     (ratio < LINE_RATIO).then(|| {
         let what =
-            "the matched positions lie nearly on a line: the rotation about it follows from noise";
+            "the matched positions are nearly on a line: the rotation about it is determined by noise";
         Finding::new("line", Verdict::Warn, "alignment", what)
             .value(ratio, "")
             .limit(Limit::AtLeast(LINE_RATIO))
@@ -400,7 +401,7 @@ fn covariance(found: &Evaluation) -> Option<Finding> {
         _ => "as large as",
     };
     let mut what =
-        format!("{whose} are {size} the covariance says (NEES {mean:.3}, {expected} expected)");
+        format!("{whose} are {size} the covariance predicts (NEES {mean:.3}, {expected} expected)");
     for (whose, mean, unit, times) in [
         (parts[1].0, parts[1].1, "square degrees", 57.3_f64.powi(2)),
         (parts[2].0, parts[2].1, "square centimetres", 1e4),
@@ -421,7 +422,7 @@ fn bad_covariances(found: &Evaluation) -> Option<Finding> {
     (bad > 0).then(|| {
         let all = bad + consistency.poses;
         let what = format!(
-            "{bad} of {all} covariances are none (not positive definite): the errors of these poses are not tried"
+            "{bad} of {all} covariances are not positive definite: these poses are left out"
         );
         Finding::new("bad-covariances", Verdict::Warn, "covariance", what).value(bad as f64, "")
     })

@@ -225,7 +225,7 @@ fn refuses_bad_input_and_says_why() {
 
     assert_eq!(
         refused(&truth, &truth[..2], &default),
-        "only 2 poses match, 3 are needed for alignment and statistics"
+        "only 2 poses match, but 3 are needed for alignment and statistics"
     );
 
     let line = changed(&truth, |i, p| {
@@ -318,7 +318,7 @@ fn yaw_takes_away_heading_alone() {
         alignment: AlignmentMode::Yaw,
         ..EvalConfig::default()
     };
-    let refused = evaluate(&rising, &rising, &config).expect_err("no heading");
+    let refused = evaluate(&rising, &rising, &config).expect_err("not determine a heading");
     assert!(refused.to_string().contains("do not move horizontally"));
 }
 
@@ -470,11 +470,11 @@ fn degenerate_walks_are_refused_or_remarked() {
     let two = evaluate(&truth, &truth[..2], &none).expect_err("two poses");
     assert!(two.to_string().contains("only 2 poses match"));
     let moment = vec![truth[3]; 5];
-    let refused = evaluate(&moment, &moment, &none).expect_err("one moment");
+    let refused = evaluate(&moment, &moment, &none).expect_err("the same time");
     assert!(
         refused
             .to_string()
-            .contains("all matched poses are of one moment")
+            .contains("all matched poses have the same time")
     );
     let still = changed(&truth, |_, p| p.world_from_rig = Se3::identity());
     let config = EvalConfig {
@@ -632,7 +632,7 @@ fn covariances_are_tried() {
     assert!(
         bad.expect("said")
             .what
-            .starts_with("1000 of 4000 covariances are none")
+            .starts_with("1000 of 4000 covariances are not positive definite")
     );
     let (found, [remark, _]) = tried(vec![Matrix6::zeros(); 4000]);
     assert_eq!(

@@ -163,14 +163,14 @@ fn findings(formal_secs: f64, sigma_secs: f64, apart_secs: Option<f64>) -> Vec<F
         _ => Verdict::Fail,
     };
     let what = format!(
-        "the offset of the clocks is known to {:.3} ms",
+        "standard deviation of the clock offset: {:.3} ms",
         1e3 * sigma_secs
     );
     let mut findings = vec![
         Finding::new("offset", verdict, "clocks", what)
             .value(1e3 * sigma_secs, "ms")
             .limit(Limit::AtMost(1e3 * LARGE_SIGMA_SECS))
-            .remedy("turn both together for longer, about two axes, quickly"),
+            .remedy("rotate both together for longer, quickly, about two axes"),
     ];
     let limit_secs = MOST_APART_SECS.max(2.0 * MOST_APART * formal_secs);
     match apart_secs {
@@ -178,18 +178,18 @@ fn findings(formal_secs: f64, sigma_secs: f64, apart_secs: Option<f64>) -> Vec<F
             "halves",
             Verdict::Warn,
             "clocks",
-            "the offset follows from one half alone: nothing says that it stays",
+            "only one half determines the offset, so that its stability is not checked",
         )),
         Some(apart_secs) if apart_secs.abs() > limit_secs => {
             let what = format!(
-                "the offset differs by {:.2} ms between both halves: a clock drifts or was set",
+                "the offset differs by {:.2} ms between the halves: a clock drifts or was set",
                 1e3 * apart_secs
             );
             findings.push(
                 Finding::new("halves", Verdict::Warn, "clocks", what)
                     .value(1e3 * apart_secs, "ms")
                     .limit(Limit::AtMost((1e6 * limit_secs).round() / 1e3))
-                    .remedy("align parts of the recordings on their own"),
+                    .remedy("align parts of the recordings separately"),
             );
         }
         Some(_) => {}
@@ -363,7 +363,7 @@ mod tests {
             told.is_some_and(|f| f.verdict == Verdict::Warn),
             "{found:?}"
         );
-        let apart_secs = found.halves_apart_secs.expect("both halves");
+        let apart_secs = found.halves_apart_secs.expect("between the halves");
         assert!((apart_secs - 0.01).abs() < 2e-3, "{apart_secs}");
         let other: Vec<GyroSample> = (0..4000_usize)
             .map(|i| GyroSample {

@@ -46,7 +46,7 @@ pub(super) fn judge(
             1000.0 * MOST_SIGMA[1],
         ),
         (
-            "offset of the clocks",
+            "clock offset",
             1000.0 * found.sigma_offset_secs,
             "ms",
             MOST_SIGMA[2],
@@ -56,11 +56,11 @@ pub(super) fn judge(
         .into_iter()
         .map(|(subject, sigma, unit, most)| {
             let verdict = Verdict::Fail.unless(sigma <= most);
-            let what = format!("known to {sigma:.2} {unit} (1 σ)");
+            let what = format!("standard deviation {sigma:.2} {unit}");
             Finding::new("observability", verdict, subject, what)
                 .value(sigma, unit)
                 .limit(Limit::AtMost(most))
-                .remedy("turn the device about two axes, and longer")
+                .remedy("rotate the device about two axes, for longer")
         })
         .collect();
     let share = 1.0 - found.outliers as f64 / found.poses.max(1) as f64;
@@ -69,12 +69,13 @@ pub(super) fn judge(
         Finding::new("outliers", of_inliers(share), "poses", what)
             .value(100.0 * share, "%")
             .limit(Limit::AtLeast(100.0 * LEAST_INLIERS.0))
-            .remedy("check that both are of one rigid body"),
+            .remedy("check that both belong to one rigid body"),
     );
     // Residuals of neighbouring poses are alike: their standard deviations are then too small.
     if let Some(factor) = refined.correlated_by {
-        let what =
-            format!("residuals hang together: standard deviations were raised {factor:.1} times");
+        let what = format!(
+            "residuals are correlated: standard deviations were increased by a factor of {factor:.1}"
+        );
         findings
             .push(Finding::new("correlated", Verdict::Pass, "residuals", what).value(factor, ""));
     }
@@ -121,7 +122,7 @@ fn agreement(halves: Apart) -> Finding {
     Finding::new("halves", verdict, "halves", what)
         .value(halves.sigmas, "σ")
         .limit(Limit::AtMost(MOST_APART))
-        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; align the parts by themselves")
+        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; align the parts separately")
 }
 
 /// Positions that stay apart and extend differently are in different units.
@@ -131,11 +132,11 @@ fn other_unit(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Option<Fi
     let is_apart = left_m > MOST_LEFT * reference_m.min(estimate_m);
     (is_apart && !(1.0 / MOST_LARGER..MOST_LARGER).contains(&times)).then(|| {
         let what = format!(
-            "the estimate's positions extend {times:.3} times as far as the reference's, and {left_m:.3} m rms stay between them"
+            "the estimate's positions extend {times:.3} times as far as the reference's, and {left_m:.3} m rms remain between them"
         );
         Finding::new("unit", Verdict::Fail, "positions", what)
             .value(times, "")
-            .remedy("write both in metres; what cannot know its scale is not aligned")
+            .remedy("write both in metres; a system without observable scale cannot be aligned")
     })
 }
 
@@ -145,12 +146,12 @@ fn other_positions(found: &HandEye, [estimate_m, reference_m]: [f64; 2]) -> Opti
     let scatter_m = reference_m.min(estimate_m);
     (left_m > MOST_UNLIKE * scatter_m).then(|| {
         let what = format!(
-            "the positions stay {left_m:.3} m rms apart where they scatter by {scatter_m:.3} m, however body and world are placed"
+            "positions differ by {left_m:.3} m rms after the best alignment, where they scatter by {scatter_m:.3} m"
         );
         Finding::new("positions", Verdict::Fail, "positions", what)
             .value(left_m, "m")
             .limit(Limit::AtMost(MOST_UNLIKE * scatter_m))
-            .remedy("check that neither is a mirror image (left-handed axes, two exchanged) or lost; `lsfb eval` names which")
+            .remedy("check that neither is a mirror image (left-handed axes, two swapped) or lost track; `lsfb eval` says which")
     })
 }
 
@@ -159,7 +160,7 @@ fn same(found: &HandEye) -> Option<Finding> {
     let left_m = found.translation_m.rmse;
     (left_m < LEAST_LEFT_M).then(|| {
         let what = format!(
-            "both are one trajectory: {left_m:.1e} m rms between them is less than any two systems leave"
+            "both are the same trajectory: {left_m:.1e} m rms between them is less than two systems can reach"
         );
         Finding::new("same", Verdict::Warn, "positions", what)
             .value(left_m, "m")
@@ -173,11 +174,11 @@ fn other_rotations(found: &HandEye) -> Option<Finding> {
     let left_deg = found.rotation_deg.rmse;
     (left_deg > MOST_LEFT_DEG).then(|| {
         let what = format!(
-            "the orientations stay {left_deg:.1}° rms apart, however body and world are turned"
+            "orientations differ by {left_deg:.1}° rms after the best alignment"
         );
         Finding::new("orientations", Verdict::Fail, "orientations", what)
             .value(left_deg, "°")
             .limit(Limit::AtMost(MOST_LEFT_DEG))
-            .remedy("check the order of the quaternions' components (x y z w), and that they are of the body in the world and not the inverse; `lsfb eval` names which")
+            .remedy("check the order of the quaternion components (x y z w), and that they are of the body in the world and not inverted; `lsfb eval` says which")
     })
 }

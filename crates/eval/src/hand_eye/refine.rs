@@ -310,8 +310,11 @@ fn adjust(
     let body = problem.add_block(state.body);
     let clock = problem.add_block(state.clock);
     problem.set_name(world.id(), "pose of the estimate's world");
-    problem.set_name(body.id(), "pose of the estimate's body on the reference's");
-    problem.set_name(clock.id(), "offset of the clocks");
+    problem.set_name(
+        body.id(),
+        "pose of the estimate's body in the reference's body frame",
+    );
+    problem.set_name(clock.id(), "clock offset");
     if model == ClockModel::Constant {
         problem.set_constant_components(clock, &[1])?;
     }

@@ -32,7 +32,7 @@ impl AlignedTruth {
         let all = self.poses.len() + self.left_out;
         (self.left_out > 0).then(|| {
             let what = format!(
-                "{} of the reference's {all} poses are left out of the ground truth: the reference jumps away from the estimate there, and back",
+                "{} of the reference's {all} poses are left out of the ground truth because the reference jumps away from the estimate and back",
                 self.left_out
             );
             Finding::new("left-out", Verdict::Warn, "reference", what)

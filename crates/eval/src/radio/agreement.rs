@@ -121,8 +121,9 @@ impl RadioAgreement {
     /// As every command says it.
     pub fn finding(&self) -> Finding {
         let mut what = format!(
-            "in {} scans of Wi-Fi and spans of Bluetooth {:.0} % of what was loudest was loud for others there, and {:.0} dB weaker where it was \
-             weakest; at {} more nobody listened around there before",
+            "in {} Wi-Fi scans and Bluetooth intervals, {:.0} % of the strongest signals were also \
+             strong for other walks there, and {:.0} dB weaker where it was weakest; for {} more \
+             there are no earlier readings nearby",
             self.compared,
             100.0 * self.share,
             self.weaker_db,
@@ -144,13 +145,15 @@ impl RadioAgreement {
             return Finding::new("radio", verdict, "trajectory", what)
                 .value(100.0 * stretch.share, "%")
                 .limit(Limit::AtLeast(100.0 * self.least_share))
-                .remedy("make sure that the walk was on this floor of this building then, and the table is of this map");
+                .remedy("make sure that the walk was on this floor of this building, and that the table belongs to this map");
         }
         if self.weaker_db > MOST_WEAKER_DB {
             return Finding::new("radio", Verdict::Warn, "trajectory", what)
                 .value(self.weaker_db, "dB")
                 .limit(Limit::AtMost(MOST_WEAKER_DB))
-                .remedy("make sure that the walk was on this floor: through a slab everything is weaker");
+                .remedy(
+                    "make sure that the walk was on this floor: ceilings attenuate all signals",
+                );
         }
         if self.unknown >= self.compared {
             return Finding::new("radio", Verdict::Warn, "trajectory", what)
@@ -163,12 +166,12 @@ impl RadioAgreement {
         Finding::new("radio", verdict, "trajectory", what)
             .value(100.0 * self.share, "%")
             .limit(Limit::AtLeast(100.0 * usual))
-            .remedy("make sure that the map is of this floor of this building, and the table of that map")
+            .remedy("make sure that the map is of this floor of this building, and that the table belongs to that map")
     }
 }
 
 /// What to do where too little is known.
-const LISTEN: &str = "listen along the whole way once, and add those readings to the table";
+const LISTEN: &str = "record readings once along the whole walk, and add them to the table";
 
 /// What was heard of each sender in one scan or span.
 struct Span<'a> {

@@ -142,7 +142,7 @@ pub fn judge_neighbours(
     let all = Statistics::of(&errors_m).ok_or(Error::TooFewMatches {
         matched: 0,
         needed: 1,
-        purpose: "places by Wi-Fi: no scan of one walk shares a sender with one of another",
+        purpose: "Wi-Fi localization: no scan of one walk shares a transmitter with one of another",
     })?;
     let reaches: Vec<Reach> = REACHES_M
         .iter()
@@ -161,7 +161,7 @@ pub fn judge_neighbours(
     let widest = reaches.last().and_then(|r| r.errors_m);
     let reached = widest.map_or(0, |w| w.count) as f64 / scans.len() as f64;
     let what = format!(
-        "{:.0} % of the scans have one of another walk within {} m: elsewhere no method could know the place",
+        "{:.0} % of the scans have a scan of another walk within {} m: elsewhere no method could know the place",
         100.0 * reached,
         REACHES_M[1]
     );
@@ -183,7 +183,7 @@ pub fn judge_neighbours(
             finding
                 .value(100.0 * reached, "%")
                 .limit(Limit::AtLeast(100.0 * LEAST_REACHED))
-                .remedy("walk where the others walked, or judge by the scans within reach"),
+                .remedy("walk where the others walked, or evaluate only the scans within reach"),
         ],
     })
 }

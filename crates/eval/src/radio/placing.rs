@@ -183,7 +183,7 @@ pub fn waypoints(recording: &Recording) -> Result<Vec<KnownPlace>, Error> {
             let item = item?;
             let no_waypoint = |why: String| Error::NotATrajectory {
                 path: recording.path().to_owned(),
-                what: format!("{topic}: no waypoint: {why}"),
+                what: format!("{topic}: not a waypoint: {why}"),
             };
             let remark = message::decode_remark(&item.bytes);
             let remark = remark.map_err(|why| no_waypoint(why.to_string()))?;

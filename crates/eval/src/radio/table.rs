@@ -59,7 +59,7 @@ pub fn read_table(path: &Path) -> Result<Vec<PlacedReading>, Error> {
     let mut lines = text.lines();
     if lines.next() != Some(HEADER) {
         return Err(wrong(format!(
-            "no table of placed readings: its first line is not '{HEADER}'; make one with `lsfb dataset radio`"
+            "not a table of placed readings: its first line is not '{HEADER}'; make one with `lsfb dataset radio`"
         )));
     }
     lines
@@ -80,7 +80,7 @@ fn parse(line: &str) -> Result<PlacedReading, String> {
     let [kind, time, scan, source, rssi, numbers @ ..] = &cells[..] else {
         return Err(format!("{} columns; expected 12", cells.len()));
     };
-    let no_number = |cell: &str| format!("'{cell}' is no number of this column");
+    let no_number = |cell: &str| format!("'{cell}' is not a valid number for this column");
     let numbers: Result<Vec<f64>, String> = numbers
         .iter()
         .map(|cell| {
@@ -94,14 +94,14 @@ fn parse(line: &str) -> Result<PlacedReading, String> {
         return Err(format!("{} columns; expected 12", cells.len()));
     };
     if sigma_m < 0.0 {
-        return Err(format!("'{sigma_m}' is no standard deviation"));
+        return Err(format!("'{sigma_m}' is not a standard deviation"));
     }
     Ok(PlacedReading {
         kind: match *kind {
             "wifi" => RadioKind::Wifi,
             "ble" => RadioKind::Ble,
             "magnetic" => RadioKind::Magnetic,
-            other => return Err(format!("'{other}' is no kind of reading")),
+            other => return Err(format!("'{other}' is not a kind of reading")),
         },
         time: Timestamp::from_nanos(time.parse().map_err(|_| no_number(time))?),
         scan: scan.parse().map_err(|_| no_number(scan))?,

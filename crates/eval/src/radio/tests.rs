@@ -127,7 +127,7 @@ fn a_table_that_is_none_is_refused_by_line() {
     let path = folder.path().join("radio.csv");
     let good = table(&[]);
     for (rows, expected) in [
-        ("t x y z\n".to_owned(), "no table of placed readings"),
+        ("t x y z\n".to_owned(), "not a table of placed readings"),
         (
             format!("{good}wifi,1,1,a,-50,0,0,0,NaN,0,0,1\n"),
             "line 2: 'NaN'",
@@ -135,9 +135,12 @@ fn a_table_that_is_none_is_refused_by_line() {
         (format!("{good}wifi,1,1,a,-50,0,0,0,0,0,0\n"), "expected 12"),
         (
             format!("{good}wifi,1,1,a,-50,0,0,0,0,0,0,-1\n"),
-            "no standard deviation",
+            "not a standard deviation",
         ),
-        (format!("{good}radar,1,1,a,-50,0,0,0,0,0,0,1\n"), "no kind"),
+        (
+            format!("{good}radar,1,1,a,-50,0,0,0,0,0,0,1\n"),
+            "not a kind",
+        ),
     ] {
         std::fs::write(&path, rows).expect("written");
         let said = read_table(&path).expect_err("refused").to_string();

@@ -42,7 +42,7 @@ pub(super) fn as_text(bytes: &[u8]) -> Result<String, String> {
     match rest.bytes.len() - rest.at {
         0 => Ok(text),
         more => Err(format!(
-            "{more} bytes behind the {count} images of COLMAP's images.bin"
+            "{more} bytes after the {count} images of COLMAP's images.bin"
         )),
     }
 }
@@ -84,7 +84,7 @@ impl<'a> Rest<'a> {
 
     fn cut(&self, what: &str) -> String {
         format!(
-            "byte {}: {what} that cannot be; cut short, or not COLMAP's images.bin",
+            "byte {}: invalid {what}; the file is truncated, or not COLMAP's images.bin",
             self.at
         )
     }

@@ -26,7 +26,7 @@ pub(super) fn trajectory_in(path: &Path) -> Result<Option<PathBuf>, Error> {
     found.map(Some).ok_or_else(|| Error::NotATrajectory {
         path: path.to_owned(),
         what: format!(
-            "a folder without a trajectory that is known ({}): name the file",
+            "no supported trajectory in this folder ({}): name the file",
             PLACES.join(", ")
         ),
     })

@@ -155,11 +155,12 @@ impl Layout {
             let names = shown(first.text);
             return Err((
                 first.number,
-                format!("'{names}' names no stamp or no position; say what the columns are"),
+                format!("'{names}' has no stamp or no position; give the columns"),
             ));
         }
         if let (Some(unit), None) = (header.and_then(|h| h.foreign_length), given) {
-            let what = format!("positions are in {unit} by their names; write them in metres");
+            let what =
+                format!("positions are in {unit} according to their names; write them in metres");
             return Err((data.number, what));
         }
         // Behind a row of names a word in the second column is somebody else's.
@@ -224,12 +225,12 @@ fn by_count(
         (true, 8) => Ok((
             Content::Columns(Columns::TUM),
             Some(
-                "no row of names: columns taken for t, x, y, z, qx, qy, qz, qw, as stamps are in seconds",
+                "no header row: columns are assumed to be t, x, y, z, qx, qy, qz, qw because stamps are in seconds",
             ),
         )),
         (true, _) if is_whole && rows.len() == 1 => sure(Content::Columns(Columns::EUROC)),
         (true, n) => Err(format!(
-            "{n} columns with stamps in seconds and no row of names: say what the columns are"
+            "{n} columns with stamps in seconds and no header row: give the columns"
         )),
     }
 }

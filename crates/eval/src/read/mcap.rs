@@ -35,7 +35,7 @@ pub(super) fn read(path: &Path, stream: Option<&str>) -> Result<TrajectoryFile, 
     if poses.is_empty() {
         return Err(Error::NotATrajectory {
             path: path.to_owned(),
-            what: "the topic has no pose".to_owned(),
+            what: "the topic has no poses".to_owned(),
         });
     }
     put_in_order(path, poses, Orientations::Known, findings)

@@ -115,7 +115,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     };
     let nothing = || Error::NotATrajectory {
         path: path.to_owned(),
-        what: format!("no pose in it; expected {UNDERSTOOD}"),
+        what: format!("it has no poses; expected {UNDERSTOOD}"),
     };
     if rows.is_empty() {
         return Err(nothing());
@@ -163,7 +163,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     let of_poses = rows.get(layout.header_rows..).unwrap_or_default();
     if let Some(number) = text::cut_number(&text, of_poses) {
         let what = format!(
-            "the file breaks off within its last number, '{}': the last pose may be any",
+            "the file ends within its last number, '{}': the last pose may be wrong",
             shown(number)
         );
         warn("cut", what, "write it again, or delete its last row");
@@ -172,7 +172,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         warn(
             "columns",
             assumed.to_owned(),
-            "name the columns in a first row",
+            "add a header row with the names of the columns",
         );
     }
     let long = read
@@ -184,7 +184,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         .max_by(|a, b| (a.1 - 1.0).abs().total_cmp(&(b.1 - 1.0).abs()));
     if let Some((number, length)) = worst {
         let what = format!(
-            "{} not of length one (line {number}: {length:.3}), and normalised",
+            "{} with a norm other than 1 (line {number}: {length:.3}), and normalised",
             crate::count(long.count(), "quaternion is", "quaternions are")
         );
         warn(
@@ -204,13 +204,14 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         let (times, remark) = times::read(times, path, read.len(), options.stamp_unit)?;
         is_guess = options.stamp_unit.is_none() && remark.is_none();
         if let Some(remark) = remark {
-            warn("stamp-unit", remark, "say the unit of the stamps");
+            warn("stamp-unit", remark, "give the unit of the stamps");
         }
         times
     } else if is_matrix {
-        let what = "rows without stamps, taken for one a second".to_owned();
-        let remedy = "name the file with their stamps; without it figures over time (relative errors per second, smoothness, gaps) mean nothing, \
-             and those of an estimate and a truth whose rows are of other frames mean nothing at all";
+        let what = "rows without stamps, assumed to be one per second".to_owned();
+        let remedy = "give the file with their stamps; without it figures over time (relative errors \
+             per second, smoothness, gaps) are meaningless, and all figures are if the rows of \
+             estimate and truth belong to different frames";
         warn(NO_STAMPS, what, remedy);
         (0..read.len()).map(whole_secs).collect()
     } else {
@@ -223,7 +224,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         let (times, remark) = stamp_times(path, &stamps, said)?;
         is_guess = said.is_none() && remark.is_none();
         if let Some(remark) = remark {
-            warn("stamp-unit", remark, "say the unit of the stamps");
+            warn("stamp-unit", remark, "give the unit of the stamps");
         }
         times
     };
@@ -246,12 +247,12 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     let mut file = put_in_order(path, poses, orientations, findings)?;
     if is_guess && let Some(speed_m_s) = speed_in_milliseconds_m_s(&file.poses) {
         let what = format!(
-            "the path is followed at {speed_m_s:.2} mm/s, with stamps read as seconds; were they milliseconds, at {speed_m_s:.2} m/s"
+            "the speed is {speed_m_s:.2} mm/s with stamps read as seconds; if they are milliseconds, it is {speed_m_s:.2} m/s"
         );
         file.findings.push(
             Finding::new("stamp-unit", Verdict::Warn, name(path), what)
                 .value(speed_m_s, "m/s")
-                .remedy("say the unit of the stamps"),
+                .remedy("give the unit of the stamps"),
         );
     }
     Ok(TrajectoryFile { success, ..file })
@@ -301,7 +302,7 @@ fn stamp_times(
     let bad = |number: usize, text: &str| Error::BadLine {
         path: path.to_owned(),
         line: number,
-        what: format!("'{}' is no stamp", shown(text)),
+        what: format!("'{}' is not a stamp", shown(text)),
     };
     let mut sizes = Vec::with_capacity(stamps.len());
     for (number, text) in stamps {
@@ -315,7 +316,7 @@ fn stamp_times(
             path: path.to_owned(),
             step: size.step,
             possible: match possible.is_empty() {
-                true => "none that makes sense".to_owned(),
+                true => "no plausible one".to_owned(),
                 false => possible
                     .iter()
                     .map(StampUnit::to_string)
@@ -326,11 +327,11 @@ fn stamp_times(
     };
     let remark = match size.doubtful_step_secs(unit) {
         Some(step_secs) => Some(format!(
-            "poses are {step_secs:.3e} s apart by the median, with stamps read as {unit}"
+            "the median interval between poses is {step_secs:.3e} s, with stamps read as {unit}"
         )),
         None if said.is_none() && unit != StampUnit::Seconds && size.largest < 1e11 => {
             Some(format!(
-                "stamps read as {unit}, as poses are {} apart by the median",
+                "stamps read as {unit}, because the median interval between poses is {}",
                 size.step
             ))
         }

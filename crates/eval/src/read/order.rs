@@ -61,9 +61,9 @@ pub(super) fn put_in_order(
         let lines = crate::count(repeated.len(), "pose repeats", "poses repeat");
         let apart_m = repeated.iter().copied().fold(0.0, f64::max);
         let what = match differing {
-            0 => format!("{lines} the stamp before, at the same place"),
+            0 => format!("{lines} the previous stamp, at the same position"),
             n => format!(
-                "{lines} the stamp before, {n} of them elsewhere (up to {apart_m:.3} m): which is meant is not known, and not all of them are judged"
+                "{lines} the previous stamp, {n} of them at another position (up to {apart_m:.3} m): which is right is unknown, and not all of them are evaluated"
             ),
         };
         // Of few the rest is still a result.
@@ -86,7 +86,7 @@ pub(super) fn put_in_order(
     if !covariances.is_empty() && covariances.len() < poses.len() {
         let without = poses.len() - covariances.len();
         let what = format!(
-            "{without} of {} poses have no covariance: none is used",
+            "{without} of {} poses have no covariance: covariances are not used",
             poses.len()
         );
         findings.push(Finding::new("covariance", Verdict::Warn, &subject, what));

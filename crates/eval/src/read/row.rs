@@ -142,7 +142,7 @@ pub(super) fn frame(at: FrameColumns, columns: &[&str]) -> Result<Frame, String>
             .filter(|m: &f64| *m >= 0.0 && m.is_finite()),
     };
     Ok(Frame {
-        matches: count.ok_or_else(|| format!("'{}' is no number of matches", shown(matches)))?,
+        matches: count.ok_or_else(|| format!("'{}' is not a number of matches", shown(matches)))?,
         is_localized: match localized {
             None | Some("1" | "true" | "True") => true,
             Some("0" | "false" | "False") => false,
@@ -196,7 +196,7 @@ fn stamp_in_name(name: &str) -> Result<&str, String> {
 
 fn column<'a>(columns: &[&'a str], index: usize) -> Result<&'a str, String> {
     let found = columns.get(index).copied();
-    found.ok_or_else(|| format!("{} columns where {} are expected", columns.len(), index + 1))
+    found.ok_or_else(|| format!("{} columns, expected {}", columns.len(), index + 1))
 }
 
 fn numbers<const N: usize>(columns: &[&str], at: [usize; N]) -> Result<[f64; N], String> {
@@ -204,7 +204,7 @@ fn numbers<const N: usize>(columns: &[&str], at: [usize; N]) -> Result<[f64; N],
     for (value, index) in values.iter_mut().zip(at) {
         let text = column(columns, index)?;
         let number: Option<f64> = text.parse().ok().filter(|v: &f64| v.is_finite());
-        *value = number.ok_or_else(|| format!("'{}' is no finite number", shown(text)))?;
+        *value = number.ok_or_else(|| format!("'{}' is not a finite number", shown(text)))?;
     }
     Ok(values)
 }
@@ -224,7 +224,7 @@ fn rotation(w: f64, x: f64, y: f64, z: f64) -> Result<Turn, String> {
     if (0.5..2.0).contains(&norm) {
         Ok((UnitQuaternion::new_normalize(quaternion), norm))
     } else {
-        Err(format!("quaternion of length {norm}; expected 1"))
+        Err(format!("quaternion with norm {norm}; expected 1"))
     }
 }
 
@@ -234,7 +234,7 @@ fn from_matrix_rows(row: &[f64; 12]) -> Result<Se3, String> {
     );
     let rotation = so3::from_rounded(&matrix, ORTHONORMAL_TOLERANCE).ok_or_else(|| {
         let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
-        format!("the first three columns are no rotation (off by {off:.1e})")
+        format!("the first three columns are not a rotation (off by {off:.1e})")
     })?;
     Ok(Se3::new(rotation, Vector3::new(row[3], row[7], row[11])))
 }

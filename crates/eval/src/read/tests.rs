@@ -20,7 +20,7 @@ fn read(content: &str) -> Result<Vec<StampedPose>, Error> {
 fn reads_the_three_formats() {
     let tum = read("\u{feff}# a comment\n\n1.5 1 2 3 0 0 2e0 0.0\r\n").expect_err("length 2");
     assert!(
-        tum.to_string().contains("line 3: quaternion of length 2"),
+        tum.to_string().contains("line 3: quaternion with norm 2"),
         "{tum}"
     );
     let tum = read("# a comment\n1.5 1 2 3 0 0 0.8 0.6\n1.25 1 2 3 0 0 0 1\n").expect("valid");
@@ -79,7 +79,7 @@ fn reads_gzip_and_kitti_times() {
     assert!(error.contains("2 stamps for the 1 poses"), "{error}");
     let (_e, word) = file(b"soon\n");
     let error = with(&word).expect_err("a word").to_string();
-    assert!(error.contains("'soon' is no stamp"), "{error}");
+    assert!(error.contains("'soon' is not a stamp"), "{error}");
     // Poses that have stamps need no others.
     let (_f, stamped) = file(b"1 0 0 0 0 0 0 1\n");
     let options = ReadOptions {
@@ -87,7 +87,7 @@ fn reads_gzip_and_kitti_times() {
         ..ReadOptions::default()
     };
     let error = read_trajectory(&stamped, &options).expect_err("two stamps for one pose");
-    assert!(error.to_string().contains("stamps of its own"), "{error}");
+    assert!(error.to_string().contains("its own stamps"), "{error}");
     let (_d, cut) = file(&bytes[..bytes.len() - 9]);
     assert!(matches!(read_poses(&cut), Err(Error::Io { .. })));
 }
@@ -95,30 +95,30 @@ fn reads_gzip_and_kitti_times() {
 #[test]
 fn says_what_is_wrong_and_where() {
     for (content, part) in [
-        ("", "no pose in it"),
-        ("# only a comment\n", "no pose in it"),
+        ("", "it has no poses"),
+        ("# only a comment\n", "it has no poses"),
         ("1 2 3\n", "line 1: 3 columns; expected 8"),
         (
             "1 0 0 0 0 0 0 1\n2 0 0 nan 0 0 0 1\n",
-            "line 2: 'nan' is no finite number",
+            "line 2: 'nan' is not a finite number",
         ),
         (
             "1 0 0 0 0 0 0 1\n2 0 0 inf 0 0 0 1\n",
-            "line 2: 'inf' is no finite number",
+            "line 2: 'inf' is not a finite number",
         ),
         (
             "1 0 0 0 0 0 0 1\n2 0 0 x 0 0 0 1\n",
-            "line 2: 'x' is no finite number",
+            "line 2: 'x' is not a finite number",
         ),
-        ("now 0 0 0 0 0 0 1\n", "line 1: 'now' is no stamp"),
-        ("1 0 0 0 0 0 0 0\n", "quaternion of length 0"),
+        ("now 0 0 0 0 0 0 1\n", "line 1: 'now' is not a stamp"),
+        ("1 0 0 0 0 0 0 0\n", "quaternion with norm 0"),
         ("1,2,3\n", "line 1: 3 columns"),
         (
             "1 0 0 0 0 0 0 1\n1 0 0 7 0 1 0 8 0 0 1 9\n",
             "line 2: a row of 12 columns among rows of 8",
         ),
-        ("2 0 0 7 0 1 0 8 0 0 1 9\n", "no rotation"),
-        ("-1 0 0 7 0 1 0 8 0 0 1 9\n", "no rotation"),
+        ("2 0 0 7 0 1 0 8 0 0 1 9\n", "not a rotation"),
+        ("-1 0 0 7 0 1 0 8 0 0 1 9\n", "not a rotation"),
     ] {
         let error = read(content).expect_err(content).to_string();
         assert!(error.contains(part), "{error}");
@@ -221,7 +221,7 @@ fn stamps_of_any_unit_and_any_separator() {
     let unclear = whole(&rows(["0", "1000000", "2000000"], " ")).expect_err("ambiguous");
     let text = unclear.to_string();
     assert!(
-        text.contains("microseconds or nanoseconds; say which"),
+        text.contains("microseconds or nanoseconds; give the unit"),
         "{text}"
     );
     let said = ReadOptions {
@@ -286,7 +286,7 @@ fn names_overrule_the_order_of_columns() {
     ));
     let long = long.expect_err("millimetres").to_string();
     assert!(
-        long.contains("positions are in mm by their names"),
+        long.contains("positions are in mm according to their names"),
         "{long}"
     );
     // Not said: TUM's order is assumed, with a warning.
@@ -302,7 +302,7 @@ fn names_overrule_the_order_of_columns() {
         .expect_err("no names")
         .to_string();
     assert!(
-        unnamed.contains("line 1: 'a,b,c,d,e,f,g,h' names no stamp"),
+        unnamed.contains("line 1: 'a,b,c,d,e,f,g,h' has no stamp"),
         "{unnamed}"
     );
     let nine = whole("1.5,1,2,3,0.6,0,0,0.8,7\n")
@@ -343,7 +343,7 @@ fn disorder_is_sorted_and_counted() {
     let read = read.expect("valid");
     assert_eq!(codes(&read), ["unsorted-stamps", "duplicate-stamps"]);
     assert_eq!(read.findings[0].value, Some(2.0));
-    assert!(read.findings[1].what.contains("at the same place"));
+    assert!(read.findings[1].what.contains("at the same position"));
     let secs: Vec<f64> = read
         .poses
         .iter()
@@ -354,7 +354,7 @@ fn disorder_is_sorted_and_counted() {
     assert!(
         elsewhere.findings[0]
             .what
-            .contains("1 of them elsewhere (up to 5.000 m)")
+            .contains("1 of them at another position (up to 5.000 m)")
     );
 }
 
@@ -544,12 +544,12 @@ fn a_localization_tells_its_success() {
     assert_eq!(places, [1.0, 1.2]);
     assert_eq!(found.poses[1].time.nanos(), 10_300_000_000);
     assert!(found.findings.is_empty(), "{:?}", found.findings);
-    // The number of a frame is no stamp where nothing says that this is a localization.
+    // The number of a frame is not a stamp where nothing says that this is a localization.
     assert!(whole("frame,x,y,z,qx,qy,qz,qw\n1,1,2,3,0,0,0,1\n").is_err());
     let bad = whole(&text.replace(",120,", ",many,")).expect_err("no number");
     assert!(
         bad.to_string()
-            .contains("line 2: 'many' is no number of matches"),
+            .contains("line 2: 'many' is not a number of matches"),
         "{bad}"
     );
 }

@@ -38,7 +38,7 @@ pub(super) fn expect_none(path: &Path, times: Option<&Path>) -> Result<(), Error
         Some(times) => Err(Error::NotATrajectory {
             path: path.to_owned(),
             what: format!(
-                "has stamps of its own; leave out {}, which is for rows without (KITTI's matrices)",
+                "has its own stamps; leave out {}, which is for rows without (KITTI's matrices)",
                 times.display()
             ),
         }),

@@ -22,7 +22,7 @@ pub(super) fn draw(tracks: &[Track]) -> Option<Markup> {
         width_px: 560,
         height_px: 260,
         x: Axis::decades("translation error (m)", sorted.iter().flatten().copied()),
-        y: Axis::linear("poses at least so good (%)", [0.0, 100.0]),
+        y: Axis::linear("poses with at most this error (%)", [0.0, 100.0]),
         layers: lines
             .map(|(i, errors)| Layer::line(steps(errors), Ink::Series(i)))
             .collect(),

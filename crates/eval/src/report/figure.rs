@@ -93,7 +93,7 @@ pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
         Figure::new("Ground truth covered", 100.0 * coverage.fraction, "%"),
         Figure::new("Longest gap", coverage.longest_gap_secs, "s"),
         Figure::new(
-            "Begins after the ground truth by",
+            "Starts after the ground truth by",
             coverage.initialisation_secs,
             "s",
         ),
@@ -102,7 +102,7 @@ pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
             evaluation.matched_poses as f64,
             "",
         ),
-        Figure::new("Length of the true path", evaluation.truth_path_m, "m"),
+        Figure::new("True path length", evaluation.truth_path_m, "m"),
         Figure::new(
             &format!("Scale of the alignment ({})", evaluation.alignment),
             evaluation.alignment_scale,

@@ -61,7 +61,7 @@ impl fmt::Display for Cause {
             Self::TimedOut { limit_secs } => write!(f, "timed out (more than {limit_secs} s)"),
             Self::NeverInitialised => f.write_str("never initialised"),
             Self::Lost { covered } => write!(f, "lost ({:.0} % covered)", 100.0 * covered),
-            Self::NotJudged { why } => write!(f, "not judged: {why}"),
+            Self::NotJudged { why } => write!(f, "not evaluated: {why}"),
         }
     }
 }

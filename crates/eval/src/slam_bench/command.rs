@@ -49,10 +49,7 @@ pub(super) fn filled(word: &str, values: &BTreeMap<&str, String>) -> Result<Stri
             .ok_or_else(|| format!("'{word}' has a brace that is not closed"))?;
         let value = values.get(name).ok_or_else(|| {
             let known: Vec<&str> = values.keys().copied().collect();
-            format!(
-                "{{{name}}} is no placeholder; known are {}",
-                known.join(", ")
-            )
+            format!("{{{name}}} is not a placeholder; use {}", known.join(", "))
         })?;
         out += value;
         rest = after;
@@ -89,7 +86,7 @@ mod tests {
         assert!(
             fill("{inputs}")
                 .expect_err("unknown")
-                .contains("known are input, run")
+                .contains("use input, run")
         );
         assert!(fill("{input").is_err());
     }

@@ -238,13 +238,13 @@ impl MarkedTable {
             }
             @if !self.failures.is_empty() {
                 section {
-                    h2 { "Without a result" }
+                    h2 { "Failed" }
                     ul { @for (sequence, system, cause) in &self.failures { li { (sequence) ", " (system) ": " (cause) } } }
                 }
             }
             @if !self.remarks.is_empty() {
                 section {
-                    h2 { "To be looked at" }
+                    h2 { "Needs attention" }
                     ul { @for (sequence, system, remark) in &self.remarks { li { (sequence) ", " (system) ": " (remark) } } }
                 }
             }

@@ -186,11 +186,11 @@ impl Plan {
             let is_plain = |c: char| c.is_alphanumeric() || "-_.+ ".contains(c);
             if name.is_empty() || name.starts_with('.') || !name.chars().all(is_plain) {
                 return Err(format!(
-                    "'{name}' is no name: letters, digits, - _ . + and blanks"
+                    "'{name}' is not a valid name: use letters, digits, - _ . + and spaces"
                 ));
             }
             if !seen.insert(name) {
-                return Err(format!("'{name}' is there twice"));
+                return Err(format!("'{name}' occurs twice"));
             }
         }
         for sequence in &self.sequences {

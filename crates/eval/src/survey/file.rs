@@ -144,20 +144,20 @@ fn parse(text: &str) -> Result<Survey, Problem> {
                     [x, y, z].map(|value| value.parse::<f64>().ok().filter(|v| v.is_finite()));
                 let [Some(x), Some(y), Some(z)] = place else {
                     return Err(bad(format!(
-                        "point {name} has a coordinate that is no number"
+                        "point {name} has a coordinate that is not a number"
                     )));
                 };
                 let before = survey
                     .points
                     .insert((*name).to_owned(), Vector3::new(x, y, z));
                 if before.is_some() {
-                    return Err(bad(format!("point {name} is there twice")));
+                    return Err(bad(format!("point {name} occurs twice")));
                 }
             }
             _ => {
                 return Err(bad(format!(
-                    "'{}' is no statement; expected horizontal|vertical|distance A B metres [σ], sigma distance|line σ, \
-                     visit A B …, or point A x y z",
+                    "'{}' is not a statement; expected horizontal|vertical|distance A B metres [σ], \
+                     sigma distance|line σ, visit A B …, or point A x y z",
                     line.trim().chars().take(60).collect::<String>()
                 )));
             }
@@ -165,12 +165,12 @@ fn parse(text: &str) -> Result<Survey, Problem> {
     }
     let whole = |what: String| Problem { line: 0, what };
     if survey.tapes.is_empty() {
-        return Err(whole("no distance in it".to_owned()));
+        return Err(whole("it has no distances".to_owned()));
     }
     let marks = survey.marks();
     if marks.len() > MAX_MARKS {
         return Err(whole(format!(
-            "{} marks, at most {MAX_MARKS} are solved",
+            "{} marks, but at most {MAX_MARKS} are supported",
             marks.len()
         )));
     }
@@ -193,7 +193,7 @@ fn positive(text: &str) -> Result<f64, String> {
         .parse()
         .ok()
         .filter(|v: &f64| *v > 0.0 && v.is_finite());
-    value.ok_or_else(|| format!("'{text}' is no length above zero, metres"))
+    value.ok_or_else(|| format!("'{text}' is not a length above zero, in metres"))
 }
 
 #[cfg(test)]
@@ -223,13 +223,13 @@ mod tests {
     fn what_is_wrong_is_named() {
         for (text, line, part) in [
             ("", 0, "no distance"),
-            ("horizontal p1 p2\n", 1, "is no statement"),
-            ("\nhorizontal p1 p2 1,2\n", 2, "'1,2' is no length"),
-            ("distance p1 p2 -1\n", 1, "'-1' is no length"),
-            ("distance p1 p2 nan\n", 1, "'nan' is no length"),
+            ("horizontal p1 p2\n", 1, "is not a statement"),
+            ("\nhorizontal p1 p2 1,2\n", 2, "'1,2' is not a length"),
+            ("distance p1 p2 -1\n", 1, "'-1' is not a length"),
+            ("distance p1 p2 nan\n", 1, "'nan' is not a length"),
             ("distance p1 p1 1\n", 1, "to itself"),
-            ("distance p1 p2 1 0\n", 1, "'0' is no length"),
-            ("point a 1 2 x\n", 1, "no number"),
+            ("distance p1 p2 1 0\n", 1, "'0' is not a length"),
+            ("point a 1 2 x\n", 1, "not a number"),
             ("point a 1 2 3\npoint a 1 2 3\n", 2, "twice"),
         ] {
             let problem = parse(text).expect_err(text);

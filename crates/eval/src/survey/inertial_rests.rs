@@ -131,7 +131,7 @@ fn since_first(time: Timestamp, poses: &[StampedPose]) -> f64 {
 
 fn creeps(rest: &Rest, largest_m: f64, poses: &[StampedPose]) -> Finding {
     let what = format!(
-        "the trajectory moves by up to {:.1} cm about its mean in the {:.1} s from {:.1} s on in which the device rests",
+        "the trajectory moves by up to {:.1} cm about its mean in the {:.1} s from {:.1} s on during which the device rests",
         100.0 * largest_m,
         rest.end.secs_since(rest.start),
         since_first(rest.start, poses)
@@ -168,7 +168,7 @@ fn stops(
     let moving: Vec<Range<usize>> = runs.into_iter().filter(moves).collect();
     let first = moving.first()?;
     let what = format!(
-        "the trajectory stands still {} while the device moves, first at {:.1} s: they do not count as rests; was tracking lost?",
+        "the trajectory stands still {} while the device moves, first at {:.1} s: these are not counted as rests; was tracking lost?",
         crate::count(moving.len(), "time", "times"),
         since_first(poses[first.start].time, poses)
     );

@@ -87,7 +87,7 @@ impl SurveyView<'_> {
                             span.key { span.line style=(format!("border-color: {}", ink_css(0))) {} "trajectory, aligned to the marks" }
                         }
                         @if let Some(times) = times {
-                            span { "areas: where a mark is 95 times of 100, enlarged " (times) " times" }
+                            span { "areas: 95 % confidence of a mark, magnified " (times) " times" }
                         }
                     }
                 }
@@ -195,7 +195,7 @@ fn errors_at_marks(report: &MarkReport) -> Markup {
             h2 { "Errors at the marks" }
             figure {
                 (plot.draw())
-                figcaption { span { "the ring is the root mean square, " (format!("{ring_cm:.2} cm")) } }
+                figcaption { span { "the ring is the rms error, " (format!("{ring_cm:.2} cm")) } }
             }
             (scroll(&table))
             p.note {
@@ -240,7 +240,7 @@ fn measurements(solution: &SurveySolution) -> Markup {
     };
     let table = html! {
         table.numbers {
-            thead { tr { th { "measurement" } th { "read (m)" } th { "residual (mm)" } th { "redundancy" } th { "w" } th { "finds (mm)" } th { } } }
+            thead { tr { th { "measurement" } th { "measured (m)" } th { "residual (mm)" } th { "redundancy" } th { "w" } th { "detectable (mm)" } th { } } }
             tbody {
                 @for o in &solution.observations {
                     tr {
@@ -261,8 +261,8 @@ fn measurements(solution: &SurveySolution) -> Markup {
             h2 { "Measurements" }
             (scroll(&table))
             p.note {
-                "Redundancy is the share of an error that shows in its residual, w the residual over its own standard deviation; a blunder of the size "
-                "in the last column would be found four times of five."
+                "Redundancy is the share of an error that shows in its residual, w is the residual over its standard deviation; a blunder of the size "
+                "in the last column would be detected with 80 % probability."
             }
         }
     }

@@ -46,7 +46,7 @@ pub(super) fn without_blunders(
             let what =
                 "more than a fifth of the measurements contradict each other: none was left out";
             let finding = Finding::new("blunders", Verdict::Fail, "survey", what)
-                .remedy("state larger standard deviations, or measure again");
+                .remedy("give larger standard deviations, or measure again");
             let used = vec![true; observations.len()];
             return Ok(solution(
                 names,
@@ -61,16 +61,19 @@ pub(super) fn without_blunders(
             .map(|i| describe(names, &observations[chosen[*i]]))
             .collect();
         if suspects.len() > 1 {
-            let what = format!("one of {} is wrong; nothing tells which", named.join(", "));
+            let what = format!(
+                "one of {} is wrong, but which one is unknown",
+                named.join(", ")
+            );
             let finding = Finding::new("blunder", Verdict::Fail, "survey", what)
-                .remedy("measure these again, and one distance across them");
+                .remedy("measure these again, and one more distance across them");
             findings.push(finding);
             return Ok(solution(names, observations, &used, &adjusted, findings));
         }
         let observation = &some[worst];
         let error_m = -adjusted.weighted[worst] * observation.sigma_m / adjusted.redundancy[worst];
         let what = format!(
-            "off by about {:+.1} mm against all others; left out",
+            "off by about {:+.1} mm relative to all others; left out",
             1000.0 * error_m
         );
         let w = w(&adjusted, worst).unwrap_or_default().abs();
@@ -196,25 +199,24 @@ fn unchecked(reports: &[ObservationReport]) -> Option<Finding> {
     let weak = reports.iter().filter(|r| r.redundancy < WEAK_REDUNDANCY);
     let names: Vec<&str> = weak.map(|r| r.what.as_str()).collect();
     (!names.is_empty()).then(|| {
-        let what = format!("a blunder would hardly show in {}", names.join(", "));
+        let what = format!("a blunder would hardly be noticed in {}", names.join(", "));
         Finding::new("unchecked", Verdict::Warn, "survey", what)
             .value(names.len() as f64, "")
-            .remedy("measure further distances to these marks")
+            .remedy("measure more distances to these marks")
     })
 }
 
 /// Whether residuals are as large as the standard deviations say.
 fn fit(sigma0: Option<f64>, degrees_of_freedom: usize) -> Finding {
     let Some(sigma0) = sigma0 else {
-        let what = "as many measurements as unknowns: nothing is checked";
-        return Finding::new("fit", Verdict::Warn, "survey", what)
-            .remedy("measure further distances");
+        let what = "as many measurements as unknowns, so that nothing is checked";
+        return Finding::new("fit", Verdict::Warn, "survey", what).remedy("measure more distances");
     };
     let verdict = Verdict::Warn.unless(SIGMA0_RANGE.contains(&sigma0));
     let what = format!(
-        "residuals are {sigma0:.2} times as large as the stated standard deviations say ({degrees_of_freedom} degrees of freedom)"
+        "residuals are {sigma0:.2} times their standard deviations ({degrees_of_freedom} degrees of freedom)"
     );
     Finding::new("fit", verdict, "survey", what)
         .value(sigma0, "")
-        .remedy("state standard deviations as large as the residuals")
+        .remedy("give standard deviations as large as the residuals")
 }

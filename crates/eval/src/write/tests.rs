@@ -102,7 +102,7 @@ fn positions_alone_have_no_rotations_made_up() {
             continue;
         }
         let error = written.expect_err("no rotations").to_string();
-        assert!(error.contains("positions only"), "{error}");
+        assert!(error.contains("only positions"), "{error}");
         assert!(!out.exists(), "{format:?}");
     }
 }

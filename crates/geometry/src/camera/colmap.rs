@@ -38,7 +38,7 @@ pub enum ColmapModel {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ColmapError {
     /// A model of which no lens here is.
-    #[error("model {model} is not known")]
+    #[error("model {model} is not supported")]
     Model {
         /// Its name.
         model: String,
@@ -54,7 +54,7 @@ pub enum ColmapError {
         expected: usize,
     },
     /// `FULL_OPENCV` with a denominator.
-    #[error("rational distortion with k4 to k6 is not known")]
+    #[error("rational distortion with k4 to k6 is not supported")]
     Rational,
     /// An image without pixels.
     #[error("an image of {0} × {1} pixels")]
@@ -312,7 +312,7 @@ mod tests {
             error.expect_err("no camera").to_string()
         };
         let prism = problem("THIN_PRISM_FISHEYE", [6, 4], &[1.0; 12]);
-        assert_eq!(prism, "model THIN_PRISM_FISHEYE is not known");
+        assert_eq!(prism, "model THIN_PRISM_FISHEYE is not supported");
         let rational = [
             500.0, 500.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0,
         ];

@@ -59,7 +59,7 @@ fn check_sigmas(name: &str, camera: &RigCamera) -> Result<(), String> {
     for (entry, values) in stated {
         if let Some(wrong) = values.iter().find(|sigma| !is_sigma(**sigma)) {
             return Err(format!(
-                "{entry} = {wrong} in cameras.{name}.sigmas: a standard deviation is more than zero; leave out what is not known"
+                "{entry} = {wrong} in cameras.{name}.sigmas: a standard deviation must be above zero; leave out unknown ones"
             ));
         }
     }

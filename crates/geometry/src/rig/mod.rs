@@ -346,7 +346,7 @@ fn size_problem([width, height]: [u32; 2]) -> Option<String> {
 fn pose_problem(pose: &Se3) -> Option<String> {
     let (turn, shift) = (pose.rotation.coords, pose.translation);
     let mut numbers = turn.iter().chain(shift.iter());
-    (!numbers.all(|v| v.is_finite())).then(|| "a pose that is no number".to_owned())
+    (!numbers.all(|v| v.is_finite())).then(|| "a pose that is not a number".to_owned())
 }
 
 fn number_problem(what: &str, value: f64) -> Option<String> {

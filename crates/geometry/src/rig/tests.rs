@@ -135,7 +135,7 @@ fn toml_round_trip_and_named_errors() {
         (
             "translation_m = [0.0, 0.0, 0.0]",
             "translation_m = [nan, 0.0, 0.0]",
-            "a pose that is no number",
+            "a pose that is not a number",
         ),
     ] {
         let text = rig.to_toml();

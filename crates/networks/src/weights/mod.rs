@@ -51,7 +51,7 @@ impl Weights {
         let length = fs::metadata(path).map_err(io)?.len();
         if length > MAX_FILE_BYTES {
             let source = std::io::Error::other(format!(
-                "{length} bytes are more than any file of weights that is known"
+                "{length} bytes are more than any supported weights file has"
             ));
             return Err(io(source));
         }

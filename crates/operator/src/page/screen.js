@@ -11,7 +11,7 @@ const LACKS = { far: "only seen from far away", unfaced: "not seen by a camera",
 const ASKS = {
   needed: "It is shown on the scanner's terminal.",
   wrong: "Wrong PIN. It is shown on the scanner's terminal.",
-  barred: "Too many wrong PINs came from here: wait a minute.",
+  barred: "Too many wrong PINs. Wait a minute.",
 };
 const MARKS = { good: "✓", warning: "!", bad: "✕", unknown: "·" };
 
@@ -139,7 +139,7 @@ function tile(id, level, value, small) {
 function showTiles() {
   const { sync, storage, battery, lost, streams } = state;
   const spread = sync.spread_ms;
-  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in sync" : "apart");
+  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in sync" : "out of sync");
   const losing = streams.filter((s) => s.lost > 0).map((s) => s.name);
   const live = streams.length > 0;
   tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? count(lost) : "–", losing.join(", "));

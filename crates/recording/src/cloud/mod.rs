@@ -59,7 +59,7 @@ pub struct PackedCloud<'a> {
 #[non_exhaustive]
 pub enum CloudError {
     /// The points have no place.
-    #[error("no fields x, y and z of floating-point numbers; there are: {fields}")]
+    #[error("it has no floating-point fields x, y and z; available: {fields}")]
     NoCoordinates {
         /// The fields.
         fields: String,
@@ -85,7 +85,7 @@ pub enum CloudError {
         point_bytes: usize,
     },
     /// There is more or less than was announced.
-    #[error("{got} bytes of points where {needed} are announced: truncated or damaged")]
+    #[error("{got} bytes of points, but {needed} are announced: truncated or damaged")]
     Size {
         /// Bytes announced.
         needed: usize,
@@ -100,7 +100,7 @@ pub enum CloudError {
     },
     /// The coordinates are not those of a sensor.
     #[error(
-        "the nearest point is {nearest_km:.0} km from the origin: coordinates of a map, where those of the sensor are needed"
+        "the nearest point is {nearest_km:.0} km from the origin: coordinates of a map, but those of the sensor are needed"
     )]
     NotOfASensor {
         /// Distance of the nearest point, kilometres.

@@ -180,9 +180,9 @@ fn what_does_not_fit_is_refused_by_name() {
         (with(&|c| c.point_bytes = 8), "field z ends at byte 12"),
         (with(&|c| c.row_bytes = 11), "cannot hold 1 points"),
         (with(&|c| c.columns = 2), "cannot hold 2 points"),
-        (with(&|c| c.rows = 2), "12 bytes of points where 24"),
+        (with(&|c| c.rows = 2), "12 bytes of points, but 24"),
         (with(&|c| c.rows = usize::MAX), "a scan has at most"),
-        (with(&|c| c.fields.truncate(1)), "there are: x"),
+        (with(&|c| c.fields.truncate(1)), "available: x"),
     ] {
         let error = result.expect_err(words).to_string();
         assert!(error.contains(words), "{error}");

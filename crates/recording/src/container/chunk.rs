@@ -142,7 +142,7 @@ fn packed<'a>(source: &Source, entry: &ChunkEntry, bytes: &'a [u8]) -> Result<Pa
     };
     if head.uncompressed_bytes > MAX_CHUNK_BYTES {
         let reason = format!(
-            "chunk claims to unpack to {} bytes",
+            "chunk claims to decompress to {} bytes",
             head.uncompressed_bytes
         );
         return Err(damaged(source, entry, reason));
@@ -167,7 +167,7 @@ fn unpack(
         Ok(()) => Ok(()),
         Err(error) => {
             records.clear();
-            let reason = format!("chunk does not unpack ({error})");
+            let reason = format!("chunk cannot be decompressed ({error})");
             Err(damaged(source, entry, reason))
         }
     }
@@ -181,7 +181,7 @@ fn check(
 ) -> Result<(), Error> {
     let reason = if records.len() as u64 != head.uncompressed_bytes {
         format!(
-            "chunk unpacks to {} instead of {} bytes",
+            "chunk decompresses to {} instead of {} bytes",
             records.len(),
             head.uncompressed_bytes
         )

@@ -344,7 +344,7 @@ impl Encoder {
         if let Some(channel) = self.channels.get(message.topic) {
             if channel.schema != message.schema_name {
                 let reason = format!(
-                    "carries {} and cannot take {}",
+                    "contains {} and cannot hold {}",
                     channel.schema, message.schema_name
                 );
                 return Err(self.unwritable(message.topic, reason));

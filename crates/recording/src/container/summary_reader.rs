@@ -71,7 +71,7 @@ fn find_summary(source: &Source) -> Result<Found, Error> {
     }
     if start >= footer_offset {
         return Ok(Found::Not(FromSummary::Broken(
-            "the footer points behind itself",
+            "the footer points past itself",
         )));
     }
     let summary = source.read(start, footer_offset - start)?;
@@ -80,7 +80,9 @@ fn find_summary(source: &Source) -> Result<Found, Error> {
         hasher.update(&summary);
         hasher.update(&tail[..(HEAD_BYTES + 16) as usize]);
         if hasher.finalize() != crc {
-            return Ok(Found::Not(FromSummary::Broken("its checksum differs")));
+            return Ok(Found::Not(FromSummary::Broken(
+                "its checksum does not match",
+            )));
         }
     }
     Ok(Found::Summary {

@@ -60,7 +60,7 @@ pub(crate) fn all(
         let mut patience = Duration::from_micros(200);
         while !threads.iter().all(|thread| thread.is_finished()) {
             progress(Progress {
-                stage: "verify recording",
+                stage: "verifying recording",
                 done: next.load(Ordering::Relaxed).min(total) as u64,
                 total: total as u64,
             })

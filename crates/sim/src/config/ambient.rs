@@ -278,7 +278,7 @@ impl GnssConfig {
         if self.atmosphere_m + self.noise_m > 0.0 {
             return Ok(());
         }
-        let bounds = "more than 0 where atmosphere_m is 0: no receiver is without noise";
+        let bounds = "more than 0 where atmosphere_m is 0: every receiver has noise";
         Err(OutOfBounds::new(section, "noise_m", &self.noise_m, &bounds))
     }
 }

@@ -373,12 +373,11 @@ impl SimConfig {
         self.glasses_imu.check("glasses_imu")?;
         self.lidar.check("lidar")?;
         if !self.look.is_plain() && self.place == Place::Imported {
-            let bounds = "plain in scenes of the user's, which bring their own";
+            let bounds = "plain in your own scenes, which define their own look";
             return Err(OutOfBounds::new("", "look", &"detailed", &bounds).into());
         }
         if self.night && !self.place.has_nights() {
-            let bounds =
-                "false in the demo's and the calibration place and in scenes of the user's";
+            let bounds = "false in the demo, in the calibration place and in your own scenes";
             return Err(OutOfBounds::new("", "night", &true, &bounds).into());
         }
         if self.fire_door && !self.place.has_fire_doors() {
@@ -388,7 +387,7 @@ impl SimConfig {
                 .map(Place::name)
                 .collect();
             let bounds = format!(
-                "false in {}, which has no door that could be closed; {} have",
+                "false in {}, which has no door that could be closed; places with one: {}",
                 self.place.name(),
                 names.join(", ")
             );

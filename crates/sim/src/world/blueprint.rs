@@ -67,7 +67,7 @@ impl World {
         for (batch, chunk) in facets.chunks(4096).enumerate() {
             let first = batch * 4096;
             progress(Progress {
-                stage: "lighting world",
+                stage: "computing light",
                 done: first as u64,
                 total,
             })?;

@@ -175,7 +175,7 @@ pub(super) fn trace(
     };
     let (known, damaged) = match found {
         Found::Light(light) if light.grids.len() == count => (Some(light), None),
-        Found::Light(_) => (None, Some("it is of another place".to_owned())),
+        Found::Light(_) => (None, Some("it belongs to another place".to_owned())),
         Found::Nothing => (None, None),
         Found::Damaged(problem) => (None, Some(problem)),
     };

@@ -128,7 +128,7 @@ impl World {
         // not wait for long.
         for batch in order.chunks(32) {
             progress(Progress {
-                stage: "painting world",
+                stage: "rendering textures",
                 done: reflectances.len() as u64,
                 total,
             })?;

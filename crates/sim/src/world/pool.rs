@@ -76,7 +76,7 @@ pub(super) fn paint(
     // In batches, so that the painted pictures in full precision need not all be held at once.
     for batch in list.chunks(32) {
         progress(Progress {
-            stage: "painting world",
+            stage: "rendering textures",
             done,
             total: list.len() as u64,
         })?;

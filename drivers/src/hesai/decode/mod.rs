@@ -47,13 +47,13 @@ pub enum DecodeError {
     #[error(transparent)]
     Wire(#[from] WireError),
     /// A sensor of the family that is recognised and not decoded.
-    #[error("looks like Hesai {name}, which is not supported; XT32, Pandar64 and QT64 are")]
+    #[error("looks like Hesai {name}, which is not supported; use XT32, Pandar64 or QT64")]
     Unsupported {
         /// What it is.
         name: &'static str,
     },
     /// Another sensor than the configured one.
-    #[error("packets of a {got} where a {expected} is configured")]
+    #[error("packets of a {got}, but a {expected} is configured")]
     WrongModel {
         /// The configured model.
         expected: Model,
@@ -67,7 +67,7 @@ pub enum DecodeError {
         code: u8,
     },
     /// The file of beam angles is of another model.
-    #[error("the file of beam angles has {got} channels, a {model} has {expected}")]
+    #[error("the beam angle file has {got} channels, but a {model} has {expected}")]
     Angles {
         /// The sensor.
         model: Model,

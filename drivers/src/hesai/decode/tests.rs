@@ -120,14 +120,14 @@ fn wrong_models_modes_and_angles_are_refused_with_their_names() {
     };
     assert_eq!(
         error(expect, &good),
-        "packets of a XT32 where a QT64 is configured"
+        "packets of a XT32, but a QT64 is configured"
     );
     let angles = BeamAngles::parse_csv("Laser id,Elevation,Azimuth\n1,2.0,3.0\n").unwrap();
     let angles = DecoderConfig {
         angles: Some(angles),
         ..DecoderConfig::default()
     };
-    assert!(error(angles, &good).contains("has 1 channels, a XT32 has 32"));
+    assert!(error(angles, &good).contains("has 1 channels, but a XT32 has 32"));
     let mut triple = good.clone();
     triple.bytes[Model::Xt32.layout().return_mode] = 0x3D;
     assert!(error(DecoderConfig::default(), &triple).contains("0x3d"));

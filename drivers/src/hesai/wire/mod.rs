@@ -156,7 +156,7 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
         let unit = b[layout.unit_at];
         if unit != UNIT_MM {
             return Err(WireError::Value {
-                field: "unit of distance",
+                field: "distance unit",
                 offset: layout.unit_at,
                 got: unit.into(),
             });
@@ -381,7 +381,7 @@ fn model_of(bytes: &[u8]) -> Result<Model, WireError> {
         head[2..4] == layout.version && head[layout.lasers_at..layout.lasers_at + 2] == counts
     };
     Model::ALL.into_iter().find(is_of).ok_or(WireError::Value {
-        field: "version of the protocol",
+        field: "protocol version",
         offset: 2,
         got: u16::from_be_bytes([head[2], head[3]]).into(),
     })

@@ -70,7 +70,7 @@ impl MipImu {
         let base_rate_hz = answer.base_rate.map_or(0, |rate| rate.rate_hz);
         if config.rate_hz == 0 || base_rate_hz == 0 || base_rate_hz % config.rate_hz != 0 {
             return Err(unit.protocol(format!(
-                "{} Hz cannot be made of the unit's {base_rate_hz} Hz: choose a rate that divides it",
+                "{} Hz is not possible with the unit's {base_rate_hz} Hz: choose a rate that divides it",
                 config.rate_hz
             )));
         }
@@ -124,7 +124,7 @@ fn request(unit: &mut Conversation, command: &Command) -> Result<Answer, Error> 
             {
                 return Some(match ack.code {
                     0 => Ok(Answer { arrival, base_rate }),
-                    code => Err(format!("the unit refuses {what} with code {code:#04x}")),
+                    code => Err(format!("the unit rejected {what} with code {code:#04x}")),
                 });
             }
         }

@@ -96,7 +96,7 @@ fn a_rate_that_does_not_divide_and_a_refusal_are_errors() {
     let (config, _mock) = start(500);
     let error = MipImu::open(&config).unwrap_err().to_string();
     assert!(
-        error.contains("200 Hz cannot be made of the unit's 500 Hz"),
+        error.contains("200 Hz is not possible with the unit's 500 Hz"),
         "{error}"
     );
 

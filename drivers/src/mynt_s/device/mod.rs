@@ -97,7 +97,7 @@ impl MyntCamera {
             return Err(Error::Protocol {
                 device: link.device().to_owned(),
                 problem: format!(
-                    "unit {} is here where {} is configured; are the cables swapped?",
+                    "found unit {}, but {} is configured; are the cables swapped?",
                     info.serial, config.serial
                 ),
             });
@@ -142,14 +142,14 @@ impl MyntCamera {
         let parsed = UnitFile::Images
             .find(&answer)
             .and_then(ImageCalibration::parse);
-        parsed.map_err(|e| garbled(&self.link, "calibration of the cameras", e))
+        parsed.map_err(|e| garbled(&self.link, "camera calibration", e))
     }
 
     /// The calibration of the IMU that the unit carries.
     pub fn imu_calibration(&mut self) -> Result<ImuCalibration, Error> {
         let answer = read_file(&mut self.link, UnitFile::Imu)?;
         let parsed = UnitFile::Imu.find(&answer).and_then(ImuCalibration::parse);
-        parsed.map_err(|e| garbled(&self.link, "calibration of the IMU", e))
+        parsed.map_err(|e| garbled(&self.link, "IMU calibration", e))
     }
 
     /// Layout of the unit's IMU segments.
@@ -218,7 +218,7 @@ fn set_option(link: &mut CameraLink, option: CameraOption, value: u16) -> Result
     if got != value {
         return Err(Error::Protocol {
             device: link.device().to_owned(),
-            problem: format!("{option:?} was set to {value} and reads {got}"),
+            problem: format!("{option:?} was set to {value} but reads {got}"),
         });
     }
     Ok(())
@@ -230,7 +230,7 @@ fn set_control(link: &mut CameraLink, control: ImageControl, value: u16) -> Resu
     if got != i32::from(value) {
         return Err(Error::Protocol {
             device: link.device().to_owned(),
-            problem: format!("{control:?} was set to {value} and reads {got}"),
+            problem: format!("{control:?} was set to {value} but reads {got}"),
         });
     }
     Ok(())

@@ -148,7 +148,7 @@ fn swapped_units_and_refused_options_are_errors() {
                 options: vec![(CameraOption::ImuFrequency, 9000)],
                 ..Default::default()
             },
-            "refuses query 0x01 of selector 1",
+            "rejected query 0x01 of selector 1",
         ),
     ] {
         let (_dir, listener, config) = listen();
@@ -223,7 +223,7 @@ fn exposure_and_gain_are_set_and_read_back() {
         exposure: 1,
     };
     let error = MyntCamera::open(&CameraConfig { exposure, ..config }).unwrap_err();
-    assert!(error.to_string().contains("refuses"), "{error}");
+    assert!(error.to_string().contains("rejected"), "{error}");
 }
 
 #[test]
@@ -246,7 +246,7 @@ fn the_calibration_that_a_unit_carries_is_read() {
     // This unit has none of its IMU.
     let error = camera.imu_calibration().unwrap_err().to_string();
     assert!(
-        error.contains("refuses query 0x01 of selector 5"),
+        error.contains("rejected query 0x01 of selector 5"),
         "{error}"
     );
     drop(camera);

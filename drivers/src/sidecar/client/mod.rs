@@ -327,7 +327,7 @@ impl SidecarClient {
         }
         let messages = self.spool.len();
         Err(self.link()?.protocol(format!(
-            "no acknowledgement within {secs} s; {messages} messages are under way"
+            "no acknowledgement within {secs} s; {messages} messages are pending"
         )))
     }
 
@@ -351,7 +351,7 @@ impl SidecarClient {
         if acked > self.last_seq {
             let last = self.last_seq;
             return Err(self.link()?.protocol(format!(
-                "message {acked} is acknowledged, {last} was the last"
+                "message {acked} is acknowledged, but {last} was the last"
             )));
         }
         while self.spool.front().is_some_and(|first| first.seq <= acked) {

@@ -42,7 +42,7 @@ pub enum DecodeError {
     #[error(transparent)]
     Wire(#[from] WireError),
     /// DATA is numbered without a gap.
-    #[error("DATA {got} came where {expected} was expected")]
+    #[error("DATA {got}, expected {expected}")]
     Gap {
         /// The next number.
         expected: u64,
@@ -145,9 +145,9 @@ impl Decoder {
         };
         match self.channels.get(&described.channel) {
             Some(known) if *known == described => return Ok(None),
-            Some(_) => return refused("channel described in two ways"),
+            Some(_) => return refused("channel defined twice differently"),
             None if self.channels.len() == MAX_CHANNELS => {
-                return refused("channel beyond the limit");
+                return refused("channel above the limit");
             }
             None => {}
         }

@@ -176,7 +176,7 @@ impl SocketLink {
                 Kind::Reply if header.selector == selector && header.query == query.code() => {
                     if header.refused {
                         return Err(self.protocol(format!(
-                            "the unit refuses query {:#04x} of selector {}",
+                            "the unit rejected query {:#04x} of selector {}",
                             query.code(),
                             selector
                         )));
@@ -223,7 +223,7 @@ impl SocketLink {
     }
 
     fn unexpected(&self, header: Header) -> Error {
-        self.protocol(format!("a message that does not belong here: {header:?}"))
+        self.protocol(format!("unexpected message: {header:?}"))
     }
 
     fn protocol(&self, problem: String) -> Error {

@@ -105,7 +105,7 @@ fn broken_framing_is_an_error_and_no_allocation() {
     for (bytes, expected) in [
         (endless, "a message of 4294967295 bytes"),
         (message(77, &[]), "message kind 77"),
-        (message(1, &[0; 12]), "does not belong here"),
+        (message(1, &[0; 12]), "unexpected message"),
     ] {
         let (_dir, mut link) = raw_unit(bytes);
         let error = link.next_frame(TIMEOUT).unwrap_err();
@@ -149,7 +149,7 @@ fn transactions_pass_and_are_refused() {
     let wrong_length = link.xu_get(selector, XuQuery::GetMin).unwrap_err();
     assert!(wrong_length.to_string().contains("1 bytes in a reply"));
     let refused = link.xu_get(selector, XuQuery::GetDef).unwrap_err();
-    assert!(refused.to_string().contains("refuses query 0x87"));
+    assert!(refused.to_string().contains("rejected query 0x87"));
     assert_eq!(link.recv(TIMEOUT).unwrap().unwrap().bytes, [8; 10]);
     drop(link);
     assert_eq!(

@@ -23,7 +23,7 @@ impl CameraListener {
     pub fn bind(path: &Path) -> Result<Self, Error> {
         let listener = UnixListener::bind(path).map_err(|cause| Error::Open {
             device: path.display().to_string(),
-            action: "make the camera socket",
+            action: "create the camera socket",
             cause,
         })?;
         Ok(Self {

@@ -148,7 +148,7 @@ impl PcapSource {
                     }
                     Block::SimplePacket(_) => {
                         return Err(PcapError::InvalidField(
-                            "a simple packet block has no time: capture again with one",
+                            "simple packet blocks have no time: capture again with enhanced packet blocks",
                         ));
                     }
                     _ => return Ok(Frame::None),
@@ -337,7 +337,7 @@ fn nanos_of(ticks: u128, resolution: u8) -> i64 {
 fn describe(error: &PcapError) -> String {
     match error {
         PcapError::IoError(cause) if cause.kind() == std::io::ErrorKind::UnexpectedEof => {
-            "the file is cut off or the frame's length is wrong".into()
+            "the file is truncated or the frame's length is wrong".into()
         }
         PcapError::IoError(cause) => cause.to_string(),
         other => other.to_string(),

@@ -104,7 +104,7 @@ impl Survey {
             (self.more_udp, "datagrams to other ports"),
             (self.tcp, "TCP segments"),
             (self.no_udp, "frames of other protocols"),
-            (self.unreadable, "frames that make no sense"),
+            (self.unreadable, "malformed frames"),
         ] {
             if count > 0 {
                 parts.push(format!("{count} {what}"));

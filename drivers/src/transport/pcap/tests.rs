@@ -235,7 +235,7 @@ fn pcapng_keeps_the_resolution_of_its_interface() {
     assert_eq!(nanos_of(5_000_000_000_000, 12), 5_000_000_000);
 }
 
-/// What older programs wrote was passed over without a word, and what has no time too.
+/// What older programs wrote was passed over without a word, and what have no time too.
 #[test]
 fn older_blocks_of_pcapng_are_read_and_those_without_a_time_are_an_error() {
     let data = frame(None, 2368, b"payload");
@@ -265,7 +265,7 @@ fn older_blocks_of_pcapng_are_read_and_those_without_a_time_are_an_error() {
     assert_eq!(packet.bytes, b"payload");
     assert_eq!(packet.arrival.nanos(), 1_700_000_000_123_456_000);
     let error = source.recv(Duration::ZERO).unwrap_err().to_string();
-    assert!(error.contains("has no time"), "{error}");
+    assert!(error.contains("have no time"), "{error}");
 }
 
 #[test]
@@ -279,7 +279,7 @@ fn damaged_files_say_where_and_give_what_came_before() {
     assert_eq!(source.recv(Duration::ZERO).unwrap().unwrap().bytes, b"one");
     let error = source.recv(Duration::ZERO).unwrap_err().to_string();
     assert!(
-        error.contains("frame 1") && error.contains("cut off"),
+        error.contains("frame 1") && error.contains("truncated"),
         "{error}"
     );
     assert!(matches!(

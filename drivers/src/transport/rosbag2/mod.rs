@@ -85,9 +85,10 @@ impl Rosbag2Source {
         }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
-            .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;
-        let topics = topics(&database)
-            .map_err(|error| damaged("table topics", format!("no rosbag2 database ({error})")))?;
+            .map_err(|error| damaged("the start", format!("not an sqlite database ({error})")))?;
+        let topics = topics(&database).map_err(|error| {
+            damaged("table topics", format!("not a rosbag2 database ({error})"))
+        })?;
         let (topic, scan_type) =
             choose(&topics).map_err(|problem| damaged("table topics", problem))?;
         let rows = || -> rusqlite::Result<VecDeque<i64>> {
@@ -124,10 +125,10 @@ impl Rosbag2Source {
             )
             .optional()
             .map_err(|error| damaged(error.to_string()))?;
-        let (recorded, data) = message.ok_or_else(|| damaged("row is gone".into()))?;
+        let (recorded, data) = message.ok_or_else(|| damaged("row is missing".into()))?;
         let name = self.scan_type.name();
         let scan = parse_scan(self.scan_type, Timestamp::from_nanos(recorded), &data)
-            .ok_or_else(|| damaged(format!("{} bytes are no CDR {name}", data.len())))?;
+            .ok_or_else(|| damaged(format!("{} bytes are not CDR {name}", data.len())))?;
         Ok(Some(scan))
     }
 }
@@ -181,13 +182,13 @@ fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
         (Some(_), Some(_)) => {
             let names: Vec<_> = scans().map(|(topic, _)| topic.name.as_str()).collect();
             Err(format!(
-                "several topics of scans where one was expected: {}",
+                "several topics of scans, expected one: {}",
                 names.join(", ")
             ))
         }
         (None, _) => Err(match scans().next() {
             Some((topic, _)) => format!(
-                "{} is serialized as `{}`, and only `cdr` can be read",
+                "{} is serialized as `{}`, but only `cdr` is supported",
                 topic.name,
                 topic.serialization.as_deref().unwrap_or_default()
             ),
@@ -197,7 +198,7 @@ fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
                     .iter()
                     .map(|topic| format!("{} ({})", topic.name, topic.type_name))
                     .collect();
-                format!("no topic of {wanted}; there is {}", there.join(", "))
+                format!("no topic of {wanted}; it has {}", there.join(", "))
             }
         }),
     }

@@ -109,7 +109,7 @@ fn damaged_messages_and_files_say_where() {
     )
     .unwrap();
     let error = Rosbag2Source::open(text.path()).unwrap_err().to_string();
-    assert!(error.contains("no rosbag2 database"), "{error}");
+    assert!(error.contains("not a rosbag2 database"), "{error}");
     let error = Rosbag2Source::open(Path::new("/no/such.db3"))
         .unwrap_err()
         .to_string();
@@ -149,15 +149,15 @@ fn what_is_wrong_with_a_bag_is_said() {
     for (change, reason) in [
         (
             "UPDATE topics SET serialization_format = 'protobuf'",
-            "/packets is serialized as `protobuf`, and only `cdr` can be read",
+            "/packets is serialized as `protobuf`, but only `cdr` is supported",
         ),
         (
             "UPDATE topics SET type = 'sensor_msgs/msg/PointCloud2' WHERE id = 2",
-            "there is /imu (sensor_msgs/msg/Imu), /packets (sensor_msgs/msg/PointCloud2)",
+            "it has /imu (sensor_msgs/msg/Imu), /packets (sensor_msgs/msg/PointCloud2)",
         ),
         (
             "INSERT INTO topics VALUES (3,'/back','velodyne_msgs/msg/VelodyneScan','cdr','')",
-            "several topics of scans where one was expected: /packets, /back",
+            "several topics of scans, expected one: /packets, /back",
         ),
     ] {
         let file = bag(&[message(1, &[(3, 4, 0xAB)])]);

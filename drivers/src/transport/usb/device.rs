@@ -64,7 +64,7 @@ impl RealDevice {
         config.expect(&device, descriptor.vendor_id(), descriptor.product_id())?;
         match handle.set_auto_detach_kernel_driver(true) {
             Ok(()) | Err(rusb::Error::NotSupported) => {}
-            Err(error) => return Err(refused("take the USB device from its driver")(error)),
+            Err(error) => return Err(refused("detach the USB device from its driver")(error)),
         }
         handle
             .claim_interface(config.interface)

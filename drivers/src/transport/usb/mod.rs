@@ -43,7 +43,7 @@ mod device {
                 action: "open the USB device",
                 cause: io::Error::new(
                     io::ErrorKind::Unsupported,
-                    "this program knows no USB devices; build it with `--features hardware`",
+                    "this build does not support USB devices; build it with `--features hardware`",
                 ),
             })
         }
@@ -82,7 +82,7 @@ impl UsbConfig {
         Err(Error::Protocol {
             device: device.to_owned(),
             problem: format!(
-                "{vendor:04x}:{product:04x} is here where {:04x}:{:04x} is expected",
+                "found {vendor:04x}:{product:04x}, expected {:04x}:{:04x}",
                 self.vendor, self.product
             ),
         })

@@ -74,7 +74,7 @@ impl SocketDevice {
             }
             _ => Err(Error::Protocol {
                 device,
-                problem: "no device descriptor where one is expected first".to_owned(),
+                problem: "expected a device descriptor first".to_owned(),
             }),
         }
     }
@@ -141,7 +141,7 @@ impl MockUsb {
     pub fn bind(path: &Path, vendor: u16, product: u16) -> Result<Self, Error> {
         let failed = |errno: Errno| Error::Open {
             device: path.display().to_string(),
-            action: "make the mock USB device",
+            action: "create the mock USB device",
             cause: errno.into(),
         };
         let listener = datagrams().map_err(failed)?;
@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn another_device_is_refused_and_an_unplugged_one_is_lost() {
         let folder = tempfile::tempdir().unwrap();
-        for (product, expected) in [(0x5720, None), (0x1234, Some("0483:1234 is here"))] {
+        for (product, expected) in [(0x5720, None), (0x1234, Some("found 0483:1234"))] {
             let path = folder.path().join(format!("usb{product}"));
             let mut device = MockUsb::bind(&path, 0x0483, product).unwrap();
             std::thread::scope(|scope| {

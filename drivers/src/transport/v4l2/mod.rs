@@ -57,7 +57,7 @@ impl NodeLink {
             Device::with_path(path).map_err(|cause| failed("open the camera node", cause))?;
         // Whatever is no capture node, the metadata node of the same unit for one, has no format.
         node.format().map_err(|cause| {
-            let problem = format!("no V4L2 capture node: {cause}");
+            let problem = format!("not a V4L2 capture node: {cause}");
             failed(
                 "open the camera node",
                 io::Error::new(cause.kind(), problem),
@@ -117,7 +117,7 @@ impl NodeLink {
                     return self.lost(cause);
                 }
                 self.protocol(format!(
-                    "the unit refuses query {:#04x} of selector {}: {cause}",
+                    "the unit rejected query {:#04x} of selector {}: {cause}",
                     query.code(),
                     selector.id()
                 ))
@@ -138,7 +138,9 @@ impl NodeLink {
         if is_unplugged(&cause) {
             return self.lost(cause);
         }
-        self.protocol(format!("the unit refuses its control {control:?}: {cause}"))
+        self.protocol(format!(
+            "the unit rejected its control {control:?}: {cause}"
+        ))
     }
 
     fn set_format(&self, format: FrameFormat) -> Result<(), Error> {
@@ -201,7 +203,9 @@ impl NodeLink {
 impl PacketSource for NodeLink {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
         let Some(stream) = &mut self.stream else {
-            return Err(self.protocol("a frame is awaited of a stream that was not started".into()));
+            return Err(
+                self.protocol("waiting for a frame of a stream that was not started".into())
+            );
         };
         match stream.next(timeout, &mut self.counters) {
             Ok(packet) => Ok(packet),

@@ -105,13 +105,13 @@ pub enum DecodeError {
     #[error(transparent)]
     Wire(#[from] WireError),
     /// A sensor that is recognised and not decoded.
-    #[error("{product} packets are not supported; VLP-32C, VLP-16 and HDL-32E are")]
+    #[error("{product} packets are not supported; use VLP-32C, VLP-16 or HDL-32E")]
     Unsupported {
         /// What it is.
         product: Product,
     },
     /// Another sensor than the configured one.
-    #[error("packets of a {got} where a {expected} is configured")]
+    #[error("packets of a {got}, but a {expected} is configured")]
     WrongModel {
         /// The configured model.
         expected: Model,
@@ -120,7 +120,7 @@ pub enum DecodeError {
     },
     /// The factory bytes contradict the packet rate.
     #[error(
-        "packets claim to be of a {declared} but come at the rate of a {looks_like}: force the model (in devices.toml `model` and `force_returns`, at the command line --lidar-model and --force-returns)"
+        "packets claim to be from a {declared}, but arrive at the rate of a {looks_like}: force the model (in devices.toml `model` and `force_returns`, on the command line --lidar-model and --force-returns)"
     )]
     WrongBytes {
         /// What the packets say.
@@ -130,7 +130,7 @@ pub enum DecodeError {
     },
     /// The return mode byte names no mode.
     #[error(
-        "return mode {code:#04x} is none of 0x37, 0x38, 0x39: force the mode (in devices.toml `model` and `force_returns`, at the command line --lidar-model and --force-returns)"
+        "return mode {code:#04x} is none of 0x37, 0x38, 0x39: force the mode (in devices.toml `model` and `force_returns`, on the command line --lidar-model and --force-returns)"
     )]
     ReturnMode {
         /// The byte.

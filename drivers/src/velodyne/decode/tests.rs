@@ -338,7 +338,7 @@ fn other_sensors_are_refused_by_name() {
     }
     twin.product = Product::Vlp16;
     let text = named(ModelChoice::Expect(Model::Vlp32c), &twin.packet());
-    assert_eq!(text, "packets of a VLP-16 where a VLP-32C is configured");
+    assert_eq!(text, "packets of a VLP-16, but a VLP-32C is configured");
     let mut hdl64 = twin.packet();
     for block in (1..12).step_by(2) {
         hdl64.bytes[block * 100..block * 100 + 2].copy_from_slice(&[0xFF, 0xDD]);

@@ -47,8 +47,8 @@ impl Gga {
         let quality = next("quality")?.parse().map_err(|_| bad("quality"))?;
         let satellites = next("satellites")?.parse().ok();
         let hdop_e2 = decimal(next("dilution")?, 2).and_then(|v| u32::try_from(v).ok());
-        let altitude_mm = metres(next("altitude")?, next("unit of altitude")?)?;
-        let geoid_mm = metres(next("geoid")?, next("unit of geoid")?)?;
+        let altitude_mm = metres(next("altitude")?, next("altitude unit")?)?;
+        let geoid_mm = metres(next("geoid")?, next("geoid unit")?)?;
         Ok(Self {
             hour: time.hour,
             minute: time.minute,
@@ -124,7 +124,7 @@ fn metres(text: &str, unit: &str) -> Result<Option<i64>, WireError> {
     };
     let mm = decimal(magnitude, 3).ok_or(bad("height"))?;
     if unit != "M" {
-        return Err(bad("unit of height"));
+        return Err(bad("height unit"));
     }
     Ok(Some(sign * mm))
 }

@@ -53,7 +53,7 @@ impl SensorPage {
             settings = self.settings()?;
             let got = change.of(&settings);
             if got != *change {
-                return Err(self.protocol(format!("was set to {change} and reads {got}")));
+                return Err(self.protocol(format!("was set to {change} but reads {got}")));
             }
         }
         Ok(settings)
@@ -97,7 +97,7 @@ impl SensorPage {
         if !(200..300).contains(&response.status) {
             let form = String::from_utf8_lossy(&request.body);
             return Err(self.protocol(format!(
-                "the sensor refuses {} {form} with status {}",
+                "the sensor rejected {} {form} with status {}",
                 request.path, response.status
             )));
         }

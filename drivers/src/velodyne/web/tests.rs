@@ -113,7 +113,7 @@ fn a_sensor_that_says_yes_and_does_nothing_is_found_out() {
     server.sensor.lock().unwrap().set_handling(ignore);
     let error = page.apply(&changes()).unwrap_err().to_string();
     assert!(
-        error.contains("was set to rpm=1200 and reads rpm=600"),
+        error.contains("was set to rpm=1200 but reads rpm=600"),
         "{error}"
     );
 }
@@ -136,7 +136,7 @@ fn a_refusal_names_the_request() {
     let page = SensorPage::at(server.address);
     let error = page.post("/cgi/setting", "rpm=7").unwrap_err().to_string();
     assert!(
-        error.contains("refuses /cgi/setting rpm=7 with status 400"),
+        error.contains("rejected /cgi/setting rpm=7 with status 400"),
         "{error}"
     );
 }

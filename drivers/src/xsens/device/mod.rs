@@ -126,7 +126,7 @@ fn request(unit: &mut Conversation, id: u8, data: &[u8]) -> Result<FramedMessage
             }
             if framed.id == message::ERROR {
                 return Some(Err(format!(
-                    "the unit refuses {what} with code {:02x?}",
+                    "the unit rejected {what} with code {:02x?}",
                     framed.data
                 )));
             }

@@ -134,7 +134,7 @@ fn refusals_and_other_rates_are_errors() {
         (
             Some(message::SET_OUTPUT_CONFIGURATION),
             200,
-            "refuses request 0xc0",
+            "rejected request 0xc0",
         ),
         (None, 100, "choose a rate it can deliver"),
     ] {

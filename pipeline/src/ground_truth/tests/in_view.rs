@@ -32,7 +32,7 @@ fn another_floor_that_is_built_alike_is_refused() {
         found.map(|f| f.verdict)
     };
     assert_eq!(verdict(true), Some(Verdict::Pass));
-    assert_eq!(verdict(false), Some(Verdict::Unknown), "too little to tell");
+    assert_eq!(verdict(false), Some(Verdict::Unknown), "not conclusive");
     let error = walked(Paint::other_floor(1)).expect_err("another floor");
     assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
 }

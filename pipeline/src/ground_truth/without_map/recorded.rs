@@ -194,7 +194,7 @@ fn follow_images(
         check_size(recording, rig, names[camera], &image)?;
         read.images += 1;
         progress(Progress {
-            stage: "following features",
+            stage: "tracking features",
             done: read.images,
             total,
         })?;

@@ -180,15 +180,15 @@ impl MotionReport {
         let contradicted = 100.0 * self.contradicted_share;
         let agrees = self.contradicted_share <= self.doubtful_contradicted_share;
         let agreement = format!(
-            "{contradicted:.0} % of what was followed in the images fits no point; the rest does to {:.2} px rms",
+            "{contradicted:.0} % of the tracked features fit no point; the rest has a reprojection error of {:.2} px rms",
             self.errors.rms_px
         );
         let drift = format!(
-            "positions are known to {:.1} cm relative to the first (largest standard deviation)",
+            "positions relative to the first one: standard deviation up to {:.1} cm",
             self.largest_position_sigma_m * 1e2
         );
         let biases = format!(
-            "the IMU's biases are up to {:.1} standard deviations of what is expected of one",
+            "the IMU's biases are up to {:.1} standard deviations off zero",
             self.bias_sigmas
         );
         let mut findings = vec![
@@ -198,7 +198,7 @@ impl MotionReport {
             Finding::new("agreement", Verdict::Warn.unless(agrees), "images", agreement)
                 .value(contradicted, "%")
                 .limit(Limit::AtMost(100.0 * self.doubtful_contradicted_share))
-                .remedy("check the rig file against the device; things that move fill too much of the images otherwise"),
+                .remedy("check the rig file against the device; if it is right, moving objects fill too much of the images"),
             Finding::new("drift", Verdict::Pass, "trajectory", drift)
                 .value(self.largest_position_sigma_m * 1e2, "cm"),
             Finding::new("imu-bias", Verdict::Warn.unless(self.bias_sigmas <= UNLIKELY_SIGMAS), "IMU", biases)
@@ -229,8 +229,9 @@ impl MotionReport {
                 };
                 let finding = left_out.finding();
                 match reason {
-                    LeftOutReason::Uncertain => finding
-                        .remedy("split the walk, look at more that has texture, or allow more"),
+                    LeftOutReason::Uncertain => {
+                        finding.remedy("split the walk, look at more texture, or raise the limit")
+                    }
                     _ => finding,
                 }
             })

@@ -42,7 +42,7 @@ pub fn read_control_points(path: &Path) -> Result<Vec<ControlPoint>, Error> {
         let point = parse_point(columns)?;
         match named.insert(point.mark.clone()) {
             true => Ok(point),
-            false => Err(format!("{} is there twice", point.mark)),
+            false => Err(format!("{} occurs twice", point.mark)),
         }
     })?;
     points.map_err(|(line, reason)| Error::ControlPointLine {
@@ -60,7 +60,10 @@ fn lines<T>(
 ) -> Result<Result<Vec<T>, BadLine>, Error> {
     let size = std::fs::metadata(path).map_err(Error::io(path))?.len();
     if size > MAX_BYTES {
-        return Ok(Err((1, format!("{size} bytes are no list made by hand"))));
+        return Ok(Err((
+            1,
+            format!("{size} bytes are too many for a hand-made list"),
+        )));
     }
     let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
     let mut found = Vec::new();
@@ -77,7 +80,10 @@ fn lines<T>(
         }
     }
     Ok(match found.is_empty() {
-        true => Err((1, format!("nothing in it: expected lines of {}", names[0]))),
+        true => Err((
+            1,
+            format!("the file is empty: expected lines of {}", names[0]),
+        )),
         false => Ok(found),
     })
 }
@@ -85,7 +91,9 @@ fn lines<T>(
 /// Names stand in surveys too, whose words are divided by blanks.
 fn name(text: &str) -> Result<String, String> {
     match text.is_empty() || text.contains(char::is_whitespace) {
-        true => Err(format!("{text:?} is no name of a mark: one word is needed")),
+        true => Err(format!(
+            "{text:?} is not the name of a mark: it must be one word"
+        )),
         false => Ok(text.to_owned()),
     }
 }
@@ -93,7 +101,7 @@ fn name(text: &str) -> Result<String, String> {
 fn number(text: &str, what: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(format!("{text:?} is no {what}")),
+        _ => Err(format!("{text:?} is not a {what}")),
     }
 }
 
@@ -104,12 +112,15 @@ fn parse_click(columns: &[&str]) -> Result<Click, String> {
     let mark = name(mark)?;
     let nanos: i64 = time_ns
         .parse()
-        .map_err(|_| format!("{time_ns:?} is no stamp in whole nanoseconds"))?;
+        .map_err(|_| format!("{time_ns:?} is not a stamp in whole nanoseconds"))?;
     Ok(Click {
         mark,
         camera: (*camera).to_owned(),
         time: Timestamp::from_nanos(nanos),
-        pixel: Vector2::new(number(u_px, "pixel")?, number(v_px, "pixel")?),
+        pixel: Vector2::new(
+            number(u_px, "pixel coordinate")?,
+            number(v_px, "pixel coordinate")?,
+        ),
     })
 }
 
@@ -132,11 +143,11 @@ fn parse_point(columns: &[&str]) -> Result<ControlPoint, String> {
         sigmas_m: Vector3::zeros(),
     };
     for axis in 0..3 {
-        point.place_m[axis] = number(place[axis], "coordinate, metres")?;
+        point.place_m[axis] = number(place[axis], "coordinate in metres")?;
         if point.place_m[axis].abs() > FARTHEST_M {
-            return Err(format!("{:?} is no coordinate, metres", place[axis]));
+            return Err(format!("{:?} is not a coordinate in metres", place[axis]));
         }
-        let sigma_m = number(sigmas[axis], "standard deviation, metres")?;
+        let sigma_m = number(sigmas[axis], "standard deviation in metres")?;
         if sigma_m <= 0.0 {
             return Err(format!(
                 "a standard deviation of {sigma_m} m: it must be above zero"

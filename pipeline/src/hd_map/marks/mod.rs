@@ -296,7 +296,7 @@ fn meet(name: &str, sights: &[Sight], config: &MarkConfig) -> Result<Met, String
 pub(crate) fn meet_of_clicks(views: &[View], far_px: f64) -> Result<TriangulatedPoint, String> {
     if views.len() < 2 {
         return Err(format!(
-            "{} of its clicks are in an image whose pose is known, two are needed",
+            "{} of its clicks are in images with a known pose, but two are needed",
             views.len()
         ));
     }
@@ -321,7 +321,7 @@ pub(crate) fn meet_of_clicks(views: &[View], far_px: f64) -> Result<Triangulated
     // Of many clicks a few that happen to agree are no mark.
     if 2 * found.inliers.len() < views.len() {
         return Err(format!(
-            "only {} of its {} clicks agree within {far_px:.1} px: they are on different things, or the map is bent there",
+            "only {} of its {} clicks agree within {far_px:.1} px: they are on different objects, or the map is bent there",
             found.inliers.len(),
             views.len()
         ));

@@ -188,11 +188,11 @@ fn what_is_wrong_in_a_list_of_clicks_is_named() {
     assert_eq!(good.len(), 1);
     assert_eq!((good[0].mark.as_str(), good[0].pixel.x), ("door", 1.5));
     for (text, line, part) in [
-        ("", 1, "nothing in it"),
+        ("", 1, "the file is empty"),
         ("door,cam0,12,1.5\n", 1, "4 columns"),
         ("\nthe door,cam0,12,1,2\n", 2, "one word"),
         ("door,cam0,1.2,1,2\n", 1, "stamp"),
-        ("door,cam0,12,1,nan\n", 1, "no pixel"),
+        ("door,cam0,12,1,nan\n", 1, "not a pixel"),
     ] {
         match read(text).expect_err(text) {
             Error::ClickLine {
@@ -222,11 +222,11 @@ fn control_points_are_read_and_what_is_wrong_is_named() {
     assert_eq!(good[0].sigmas_m, Vector3::repeat(0.002));
     assert_eq!(good[1].sigmas_m, Vector3::new(0.01, 0.01, 0.02));
     for (text, line, part) in [
-        ("# nothing\n", 1, "nothing in it"),
+        ("# nothing\n", 1, "the file is empty"),
         ("a,1,2,3\n", 1, "4 columns"),
         ("a b,1,2,3,0.1\n", 1, "one word"),
-        ("a,1,2,inf,0.1\n", 1, "no coordinate"),
-        ("a,1,2,1e12,0.1\n", 1, "no coordinate"),
+        ("a,1,2,inf,0.1\n", 1, "not a coordinate"),
+        ("a,1,2,1e12,0.1\n", 1, "not a coordinate"),
         ("\na,1,2,3,0\n", 2, "above zero"),
         ("a,1,2,3,0.1\na,1,2,4,0.1\n", 2, "twice"),
     ] {

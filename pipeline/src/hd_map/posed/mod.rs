@@ -168,7 +168,7 @@ pub fn build_map_from_posed_images(
     let far = moved_far.first().map(|first| {
         let shows = images.iter().position(|image| image.keyframe == *first);
         format!(
-            "{} poses are farther from where the list has them than it is thought to be off (refine_poses), that of {} the first",
+            "{} poses differ from the list by more than their expected error (refine_poses), first that of {}",
             moved_far.len(),
             shows.map_or_else(String::new, name_of)
         )

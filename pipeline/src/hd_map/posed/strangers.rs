@@ -84,8 +84,8 @@ pub(super) fn strangers(
             false => "",
         };
         said.push(format!(
-            "{} of {} images were taken elsewhere than their poses say ({}{more}): of {} matches of the first with {} only {} lie where \
-             the poses have them",
+            "{} of {} images contradict their poses ({}{more}): of {} matches of the first with {}, \
+             only {} agree with the poses",
             elsewhere.len(),
             images.len(),
             named.join(", "),
@@ -150,7 +150,7 @@ fn is_no_accident(strange: usize, all: usize) -> bool {
 fn strangeness(strange: usize, all: usize) -> Option<String> {
     is_no_accident(strange, all).then(|| {
         format!(
-            "{strange} of {all} images share hardly anything with those that should see the same: their poses are not theirs"
+            "{strange} of {all} images have hardly any matches with those that should overlap: their poses do not belong to them"
         )
     })
 }

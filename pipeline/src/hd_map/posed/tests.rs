@@ -145,7 +145,10 @@ fn images_under_the_poses_of_their_neighbours_are_no_sound_map() {
         Err(other) => panic!("{other}"),
         Ok(map) => {
             let failures = map.failures().join(" ");
-            assert!(failures.contains("not those of these images"), "{failures}");
+            assert!(
+                failures.contains("do not belong to these images"),
+                "{failures}"
+            );
         }
     }
 }

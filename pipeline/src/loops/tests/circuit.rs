@@ -77,7 +77,7 @@ fn one_false_loop_among_true_ones_is_rejected() {
     });
     let accepted = loops.accepted().count();
     let keyframes = keyframes::with(&result, &[time(20), time(120)].into());
-    closing::reject_misfits(&mut loops, &keyframes, &lsfb_types::no_progress).expect("judged");
+    closing::reject_disagreeing(&mut loops, &keyframes, &lsfb_types::no_progress).expect("judged");
     let rejected = LoopVerdict::Rejected(LoopRejection::ContradictsLoops);
     assert_eq!(loops.all.last().map(|l| l.verdict), Some(rejected));
     assert_eq!(loops.accepted().count(), accepted - 1);
@@ -95,15 +95,15 @@ fn a_loop_that_contradicts_the_odometry_fails_the_walk() {
         close_loops(&mut closed, &loops, &lsfb_types::no_progress).expect("closed");
         closed.report.warnings
     };
-    let is_misfit = |w: &&OdometryWarning| matches!(w, OdometryWarning::LoopMisfit { .. });
-    assert_eq!(right.iter().filter(is_misfit).count(), 0, "{right:?}");
+    let is_disagreeing = |w: &&OdometryWarning| matches!(w, OdometryWarning::LoopDisagrees { .. });
+    assert_eq!(right.iter().filter(is_disagreeing).count(), 0, "{right:?}");
     let mut first = loops.accepted().next().expect("a loop").clone();
     first.earlier = result.scan_poses[20].pose.time;
     first.later = result.scan_poses[120].pose.time;
     first.scores.odometry_sigmas = Some(60.0);
     loops.all.push(first);
     close_loops(&mut result, &loops, &lsfb_types::no_progress).expect("closed");
-    let misfit = result.report.warnings.iter().find(is_misfit);
-    let verdict = misfit.map(|w| w.finding().verdict);
+    let disagreement = result.report.warnings.iter().find(is_disagreeing);
+    let verdict = disagreement.map(|w| w.finding().verdict);
     assert_eq!(verdict, Some(Verdict::Fail));
 }

@@ -82,7 +82,7 @@ fn what_makes_no_sense_is_refused_with_its_line() {
         (text.replace("\nreject ", "\naccept "), "was not measured"),
         (text.replace(&first, "99.000000000"), "no scan of this walk"),
         (text.replace("accept 0", "maybe 0"), "neither"),
-        (text.replace("0.9", "NaN"), "is no number"),
+        (text.replace("0.9", "NaN"), "is not a number"),
         (text.replace(" ambiguous", ""), "17 columns"),
         (text.replace("0.01 -", "-0.01 -"), "more than 0"),
     ] {

@@ -84,7 +84,8 @@ impl Control {
         let points: Vec<ControlPoint> = points.into_iter().filter(|p| count(p) >= 2).collect();
         if points.len() < FEWEST {
             return Err(bad(format!(
-                "{} of {all} are clicked in two images or more, {FEWEST} that are not on one line are needed: with one, the map would be free to turn about it, with two, about the line \
+                "{} of {all} are clicked in two images or more, but {FEWEST} that are not on one \
+                 line are needed: with one, the map could rotate about it, with two, about the line \
                  through both",
                 points.len()
             )));
@@ -93,7 +94,7 @@ impl Control {
         let [length_m, width_m] = extent_m(&places);
         if width_m < LEAST_WIDTH * length_m || length_m == 0.0 {
             return Err(bad(format!(
-                "all {} lie within {width_m:.2} m of one line ({length_m:.1} m, both rms): the map would be free to turn about it; survey and click a mark beside it",
+                "all {} lie within {width_m:.2} m of one line ({length_m:.1} m, both rms), about which the map could rotate; survey and click a mark away from it",
                 points.len()
             )));
         }

@@ -248,19 +248,19 @@ impl<'a> Marks<'a> {
             .collect();
         if surveyed.len() < FEWEST {
             report.reason = format!(
-                "{} of them have a place in the map, {FEWEST} are needed",
+                "{} of them could be placed in the map, but {FEWEST} are needed",
                 surveyed.len()
             );
             return (None, report);
         }
         let Some(covariance_m2) = covariance_m2 else {
             report.reason =
-                "images and scans do not determine the map, so that blunders would not be seen"
+                "images and scans do not determine the map, so that blunders would not be noticed"
                     .to_owned();
             return (None, report);
         };
         let Some(snooped) = snoop(&surveyed, covariance_m2, config.blunder_sigmas) else {
-            report.reason = "those with a place in the map lie on one line: it would be free to turn about that".to_owned();
+            report.reason = "those that could be placed in the map lie on one line, about which it could rotate".to_owned();
             return (None, report);
         };
         for (k, (number, mark)) in numbers.iter().zip(&surveyed).enumerate() {
@@ -307,12 +307,12 @@ impl<'a> Marks<'a> {
         let held = snooped.holding.len();
         if report.tilt_deg > MAX_TILT_DEG {
             report.reason = format!(
-                "their z axis leans by {:.1}° against the vertical: are two of their axes exchanged, or is one of them turned round?",
+                "their z axis leans by {:.1}° from the vertical: are two of their axes swapped, or is one of them reversed?",
                 report.tilt_deg
             );
         } else if report.map_factor > most {
             report.reason = format!(
-                "even the {held} that agree best are {:.1} times as far from the map as both are said to be known ({most} at most): there is more wrong than single marks",
+                "even the {held} that agree best differ from the map by {:.1} times their combined standard deviations ({most} at most): more is wrong than single marks",
                 report.map_factor
             );
         } else {

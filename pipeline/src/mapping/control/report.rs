@@ -89,7 +89,7 @@ impl ControlReport {
     pub(in crate::mapping) fn lost(&mut self) {
         self.holds = false;
         self.reason =
-            "while the map was bent towards them, fewer than three kept a place in it".to_owned();
+            "fewer than three remained in the map while it was adjusted to them".to_owned();
     }
 
     /// What is to be said of them.
@@ -100,7 +100,7 @@ impl ControlReport {
         let mut findings = vec![self.holding()];
         for mark in self.marks.iter().filter(|mark| !mark.holds && self.holds) {
             let what = format!(
-                "is {:.1} cm ({:.0} σ) from where the {} others have it, and is left out",
+                "is {:.1} cm ({:.0} σ) off the position predicted by the {} others, and is not used",
                 mark.off_the_others_cm(),
                 mark.from_others_sigmas,
                 self.held()
@@ -113,7 +113,7 @@ impl ControlReport {
             };
             findings.push(
                 finding.remedy(
-                    "measure it again, and look whether its clicks are on what was measured",
+                    "measure it again, and check that its clicks are on the measured point",
                 ),
             );
         }
@@ -122,24 +122,24 @@ impl ControlReport {
                 warn(
                     "control-point-unplaced",
                     &mark.name,
-                    format!("has no place in the map: {}", mark.reason),
+                    format!("could not be placed in the map: {}", mark.reason),
                 )
                 .remedy("click it again, in three images or more, from several sides"),
             );
         }
         if self.holds && self.map_factor > USUAL_FACTOR {
             let scale = self.scale.map_or_else(String::new, |scale| {
-                format!(", by its size alone: their survey is {scale:.4} times as large, and one of the two is wrong")
+                format!(", in its scale alone: the survey is {scale:.4} times as large, and one of the two is wrong")
             });
             let what = format!(
-                "without them it was {:.1} times as far off as it said of itself{scale}",
+                "without control points its error was {:.1} times its standard deviations{scale}",
                 self.map_factor
             );
             findings.push(
                 warn("control-points-bend", "map", what)
                     .value(self.map_factor, "")
                     .limit(Limit::AtMost(USUAL_FACTOR))
-                    .remedy("start from a better trajectory, walk loops, and survey marks all along the walk: between them the map is as it was"),
+                    .remedy("start from a better trajectory, walk loops, and survey marks along the whole walk: between them the map is unchanged"),
             );
         }
         let held = self.marks.iter().filter(|mark| mark.holds);
@@ -150,13 +150,13 @@ impl ControlReport {
         let unseen: Vec<&str> = unseen.map(|mark| mark.name.as_str()).collect();
         if self.holds && !unseen.is_empty() {
             let what = format!(
-                "a blunder of {:.0} cm would hardly show in {}",
+                "a blunder of {:.0} cm would hardly be noticed in {}",
                 100.0 * UNSEEN_BLUNDER_M,
                 unseen.join(", ")
             );
             findings.push(
                 warn("control-points-unchecked", "control points", what)
-                    .remedy("survey more marks, some of them beside and above those there are, and click each in images taken far apart"),
+                    .remedy("survey more marks, some of them off the line and the plane of the others, and click each in images taken far apart"),
             );
         }
         findings
@@ -169,20 +169,20 @@ impl ControlReport {
     fn holding(&self) -> Finding {
         if !self.holds {
             let scale = self.scale.map_or_else(String::new, |scale| {
-                format!("; their survey is {scale:.4} times as large as the map: is it in metres?")
+                format!("; the survey is {scale:.4} times as large as the map: is it in metres?")
             });
             let what = format!(
-                "do not hold the map, which stands where the walk began: {}{scale}",
+                "are not used, and the map's origin is the start of the walk: {}{scale}",
                 self.reason
             );
             return Finding::new("control-points", Verdict::Fail, "control points", what).remedy(
-                "check names, units, axes and clicks; `lsfb map distances` says how far marks are apart in the map",
+                "check names, units, axes and clicks; `lsfb map distances` shows the distances between marks in the map",
             );
         }
         let [before_m, after_m] = self.rms_m();
         let verdict = Verdict::Warn.unless(after_m <= FITS_M);
         let what = format!(
-            "{} of {} hold the map, which stands in their frame: {:.1} mm rms from where they were surveyed, {:.1} mm before",
+            "{} of {} are used, and the map is in their frame: error {:.1} mm rms, {:.1} mm before",
             self.held(),
             self.marks.len() + self.unplaced.len(),
             1e3 * after_m,
@@ -191,6 +191,6 @@ impl ControlReport {
         Finding::new("control-points", verdict, "control points", what)
             .value(after_m, "m")
             .limit(Limit::AtMost(FITS_M))
-            .remedy("measure those again that are farthest off")
+            .remedy("measure those with the largest errors again")
     }
 }

@@ -179,7 +179,7 @@ fn too_few_marks_and_such_on_a_line_are_refused_and_said_why() {
     };
     let reason = refused(&places, &["a", "b", "x"]);
     assert!(
-        reason.contains("2 of 4") && reason.contains("turn"),
+        reason.contains("2 of 4") && reason.contains("rotate"),
         "{reason}"
     );
     let reason = refused(&places, &["a", "b", "c"]);

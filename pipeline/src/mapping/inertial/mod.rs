@@ -73,12 +73,12 @@ impl RecordedImu {
         ];
         if !densities.iter().all(|density| *density > 0.0) {
             return Err(refused(
-                "its rig file says that the IMU has no noise, or a bias that never wanders",
+                "its rig file says that the IMU has no noise, or a constant bias",
             ));
         }
         let (mut samples, damaged) = read_imu_if_any(recording)?;
         if samples.len() < 2 {
-            return Err(refused("it has no samples of one"));
+            return Err(refused("it has no IMU samples"));
         }
         // Of an accelerometer in gravities the odometry says so.
         if let ImuUnits::Wrong { problem } = mend_units(&mut samples) {

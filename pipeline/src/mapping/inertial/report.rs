@@ -33,19 +33,19 @@ impl InertialReport {
             verdict(percent <= MOST_LEFT_OUT_PERCENT),
             "IMU",
             format!(
-                "it ties {} of {all} keyframes to the next; of {} samples are missing, or the next is too long after them",
+                "it connects {} of {all} keyframes to the next; for {} samples are missing, or the next is too late",
                 self.factors, self.left_out
             ),
         )
         .value(percent, "%")
         .limit(Limit::AtMost(MOST_LEFT_OUT_PERCENT))
-        .remedy("look for pauses of the IMU with `lsfb doctor`");
+        .remedy("look for gaps of the IMU with `lsfb doctor`");
         let off = Finding::new(
             "imu-off",
             verdict(self.rms_sigmas <= MOST_SIGMAS),
             "IMU",
             format!(
-                "keyframes are {:.1} standard deviations of its noise (rms) from what its samples say",
+                "keyframes differ from the IMU by {:.1} standard deviations of its noise (rms)",
                 self.rms_sigmas
             ),
         )

@@ -253,7 +253,7 @@ fn a_recording_without_an_imu_is_refused_where_it_is_to_take_part() {
     let without = told(&config, "rig.mcap", &bare).expect("refused");
     assert!(without.contains("rig file has no IMU") && without.contains("imu = false"));
     let silent = told(&config, "silent.mcap", &with).expect("refused");
-    assert!(silent.contains("no samples"), "{silent}");
+    assert!(silent.contains("no IMU samples"), "{silent}");
     with.set_imu_noise(ImuNoiseModel {
         accel_noise_density: 0.0,
         ..room::imu()

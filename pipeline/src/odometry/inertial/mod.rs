@@ -209,7 +209,7 @@ impl InertialFilter {
     }
 
     /// Takes the estimate for less certain: its covariance by so many times, 1 or more.
-    pub fn doubt(&mut self, factor: f64) {
+    pub fn widen(&mut self, factor: f64) {
         self.covariance *= factor;
         self.reported *= factor;
     }

@@ -277,7 +277,10 @@ mod tests {
         ];
         assert_eq!(report.warnings, warnings);
         let sentence = warnings[1].finding().sentence();
-        assert!(sentence.contains("the last 1 scans are lost"), "{sentence}");
+        assert!(
+            sentence.contains("the last 1 scans could not be registered"),
+            "{sentence}"
+        );
     }
 
     /// Naively the IMU's path through seconds without scans was written like any other, with exit 0 (18 cm off after five of them).

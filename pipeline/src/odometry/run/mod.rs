@@ -72,7 +72,7 @@ impl OdometryResult {
             _ => None,
         });
         let why =
-            why.unwrap_or_else(|| "check the LiDAR and its time against the IMU's".to_owned());
+            why.unwrap_or_else(|| "check the LiDAR and its clock against the IMU's".to_owned());
         Err(Error::NoScan {
             path: path.to_owned(),
             scans: self.report.scans,

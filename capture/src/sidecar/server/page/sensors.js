@@ -166,7 +166,7 @@ export class Motion {
   }
 
   async start() {
-    if ((await this.answer) !== "granted") throw new Error("motion sensors were not allowed");
+    if ((await this.answer) !== "granted") throw new Error("access to motion sensors was denied");
     addEventListener("devicemotion", this.heard);
   }
 

@@ -34,17 +34,17 @@ function draw() {
   const words = {
     off: "not connected",
     connecting: "connecting …",
-    connected: `connected, ${link.roundTripMs?.toFixed(1) ?? "–"} ms there and back`,
-    gone: "RIG GONE: everything is kept here and sent when it is back",
+    connected: `connected, ${link.roundTripMs?.toFixed(1) ?? "–"} ms round trip`,
+    gone: "RIG DISCONNECTED: data is kept here and sent once it is back",
   };
   document.body.dataset.phase = state.phase;
   document.body.dataset.link = link.state;
   show("#link", words[link.state]);
-  show("#images", `${camera.images} images${camera.leftOut > 0 ? `, ${camera.leftOut} LEFT OUT: storage is full` : ""}`);
+  show("#images", `${camera.images} images${camera.leftOut > 0 ? `, ${camera.leftOut} DROPPED: storage is full` : ""}`);
   show("#samples", `${motion.samples} motion samples`);
-  const done = spool.done ? `all ${spool.done.last} messages are with the rig` : "no walk";
-  show("#stored", session ? `${session.stored} of ${session.last} messages are with the rig` : done);
-  show("#spool", `${spool.count} wait here, ${(spool.bytes / 2 ** 20).toFixed(1)} MiB`);
+  const done = spool.done ? `all ${spool.done.last} messages sent to the rig` : "no walk";
+  show("#stored", session ? `${session.stored} of ${session.last} messages sent to the rig` : done);
+  show("#spool", `${spool.count} waiting here, ${(spool.bytes / 2 ** 20).toFixed(1)} MiB`);
   show("#problem", [state.problem, link.refusal].filter(Boolean).join(" · "));
   show("#run", { idle: "START", running: "STOP", paused: "CONTINUE", ending: "SENDING …", starting: "…" }[state.phase]);
   ask("#run").disabled = state.phase === "ending" || state.phase === "starting";
@@ -107,7 +107,7 @@ async function run() {
     const name = ask("#name").value.trim();
     if (!/^[A-Za-z0-9_-]{1,64}$/.test(name)) {
       state.phase = "idle";
-      return tell("a name has letters, digits, - and _");
+      return tell("a name may contain letters, digits, - and _");
     }
     await spool.keepDevice({ name, key: crypto.getRandomValues(new Uint8Array(32)), isPaired: false });
   }
@@ -166,17 +166,17 @@ async function open() {
 
 document.addEventListener("visibilitychange", () => {
   if (state.phase === "running") {
-    tell(document.hidden ? "NOT SEEN: a browser measures nothing while its page is hidden" : "it was hidden for a while, and measured nothing");
+    tell(document.hidden ? "PAUSED: browsers stop sensors while the page is hidden" : "the page was hidden for a while, and nothing was recorded");
   }
 });
 addEventListener("pagehide", () => state.spool?.flush());
 
 if (!navigator.locks || !indexedDB || !crypto.randomUUID) {
-  tell("this browser is too old");
+  tell("this browser is not supported: update it");
 } else {
   // Two windows of one browser would number the same walk.
   navigator.locks.request("lsfb-sidecar", { ifAvailable: true }, async (lock) => {
-    if (!lock) return tell("open in another window of this browser already");
+    if (!lock) return tell("already open in another window of this browser");
     try {
       await open();
     } catch (error) {

@@ -14,7 +14,7 @@ function request(made) {
 function finished(transaction) {
   return new Promise((resolve, reject) => {
     transaction.oncomplete = () => resolve();
-    transaction.onabort = () => reject(transaction.error ?? new Error("the browser's storage gave up"));
+    transaction.onabort = () => reject(transaction.error ?? new Error("the browser's storage failed"));
   });
 }
 

@@ -64,7 +64,7 @@ pub(super) async fn take(
         Err(refused) => return refused,
     };
     let Some(recorded) = visit.shared.recording.borrow().clone() else {
-        return said(StatusCode::SERVICE_UNAVAILABLE, "nothing is recorded yet");
+        return said(StatusCode::SERVICE_UNAVAILABLE, "not recording yet");
     };
     let bytes = match received(request).await {
         Ok(bytes) => bytes,
@@ -122,7 +122,7 @@ async fn received(request: Request<Incoming>) -> Result<Bytes, Answer> {
     let too_long = || {
         said(
             StatusCode::PAYLOAD_TOO_LARGE,
-            "4 MiB at most, and no images",
+            "at most 4 MiB, and no images",
         )
     };
     if length.is_some_and(|length| length > MAX_BODY_BYTES) {
@@ -232,7 +232,7 @@ async fn watch(visit: Visit, slot: Arc<Mutex<Slot>>) {
         };
         let is_over = session.heard.elapsed() >= SILENT || session.look().await.is_err();
         if is_over && let Some(silent) = open.take() {
-            *paused = Some(silent.pause("nothing was pushed for 10 s").await);
+            *paused = Some(silent.pause("no data pushed for 10 s").await);
             return;
         }
     }

@@ -104,7 +104,7 @@ impl PushSession {
             None => Default::default(),
         };
         let joined = order.joined_at(body.message_id).map(|first| {
-            format!("{device}: joined in the middle, at batch {first}; those before it are not in this recording")
+            format!("{device}: joined at batch {first}; earlier batches are not in this recording")
         });
         let room = visit.shared.events.clone().reserve_owned().await;
         let room = room.map_err(|_| NotStored)?;

@@ -63,9 +63,9 @@ fn text(found: &GyroAlignment) -> String {
         )
     });
     format!(
-        "offset of the clocks: {:+.6} s (σ {:.3} ms){apart}; correlation of angular speeds {:.3}\n\
-         reference's gyroscope from the other: rotation x y z w {qx:.6} {qy:.6} {qz:.6} {qw:.6}, bias of the difference {x:.4} {y:.4} {z:.4} rad/s\n\
-         left over: {:.4} rad/s rms\n",
+        "clock offset: {:+.6} s (σ {:.3} ms){apart}; correlation of angular rates {:.3}\nreference \
+         gyroscope from the other: rotation x y z w {qx:.6} {qy:.6} {qz:.6} {qw:.6}, bias difference \
+         {x:.4} {y:.4} {z:.4} rad/s\nresidual: {:.4} rad/s rms\n",
         found.offset_secs,
         1000.0 * found.sigma_offset_secs,
         found.correlation,

@@ -54,12 +54,12 @@ pub(super) fn run(
 fn text(found: &MocapAlignment) -> String {
     let [least, most] = found.offset_range_secs;
     let vector = |v: [f64; 3]| format!("{:.4} {:.4} {:.4}", v[0], v[1], v[2]);
-    pose_text("IMU on the markers' body", &found.markers_from_imu)
+    pose_text("IMU in the markers' body frame", &found.markers_from_imu)
         + &format!(
-            "offset of the clocks: {:+.6} s (σ {:.3} ms), between {least:+.6} and {most:+.6} s, drift {:.2} ppm\n\
-             gyroscope bias {} rad/s, accelerometer bias {} m/s², gravity {} m/s²\n\
-             left over: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n\
-             path: {} poses, {:.1} % of the time\n",
+            "clock offset: {:+.6} s (σ {:.3} ms), between {least:+.6} and {most:+.6} s, drift {:.2} \
+             ppm\ngyroscope bias {} rad/s, accelerometer bias {} m/s², gravity {} m/s²\nresidual: \
+             {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\npath: {} poses, {:.1} % of the \
+             time\n",
             found.offset_secs,
             1000.0 * found.sigma_offset_secs,
             1e6 * found.drift,

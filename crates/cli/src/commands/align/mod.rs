@@ -17,19 +17,21 @@ use crate::files::name_of;
 use crate::judged::{Judged, lines};
 use crate::outcome::Outcome;
 
-/// Align two trajectories of one rigid body: GNSS/INS or motion capture beside glasses.
+/// Align two trajectories of one rigid body, for example GNSS/INS or motion capture with glasses.
 ///
-/// Each may have its own world, its own body and its own clock. Found are where one body sits on the other, how the worlds lie, and the
-/// offset of the clocks, with standard deviations; a motion that does not show them is refused (turn about two axes). With --out the
-/// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`, without the poses at which it jumps
-/// (swapped markers). Nothing is written (exit code 4) where fewer than half of the poses fit, or where two halves of the walk clearly differ:
-/// the mounting slipped, or a clock jumped.
+/// Each may have its own world, body and clock. Estimates the pose of one body on the other, the
+/// transform between the worlds, and the clock offset, with standard deviations; a motion that does not
+/// determine them is refused (turn about two axes). --out writes the reference as ground truth of the
+/// estimate's body, on the estimate's clock, for `lsfb eval`, without poses where it jumps (swapped
+/// markers). Exit code 4, nothing written: fewer than half of the poses fit, or two halves of the walk
+/// clearly differ (the mounting slipped, or a clock jumped).
 ///
-/// Motion capture is better aligned to an IMU on the device (--imu, a recording or a csv): the path of the IMU that is written is smoother
-/// than the markers' jitter, and goes on for a while where they are dropped or swapped.
+/// Motion capture is better aligned with an IMU on the device (--imu): the path of the IMU is smoother
+/// than the markers' jitter, and bridges short stretches of lost or swapped markers.
 ///
-/// Two recordings with an IMU each (--reference-imu) are brought to one clock by their gyroscopes, where there was no network to do it: hold
-/// both devices together and turn them for half a minute about two axes.
+/// Without a network to synchronize them, two recordings with an IMU each (--reference-imu) are brought
+/// to one clock by their gyroscopes: hold both devices together and turn them about two axes for half a
+/// minute.
 ///
 /// Examples:
 ///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
@@ -39,24 +41,24 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trajectory to align, of any program.
+    /// Trajectory to align, of any program.
     #[arg(
         value_name = "TRAJECTORY",
         required_unless_present = "imu",
         conflicts_with = "imu"
     )]
     estimate: Option<PathBuf>,
-    /// Inertial samples on the device instead of a trajectory: a recording, or a csv as EuRoC has it.
+    /// IMU data of the device instead of a trajectory: a recording, or a csv in EuRoC's format.
     #[arg(long, value_name = "MCAP|CSV")]
     imu: Option<PathBuf>,
-    /// The reference trajectory, of any program.
+    /// Reference trajectory, of any program.
     #[arg(
         long,
         value_name = "TRAJECTORY",
         required_unless_present = "reference_imu"
     )]
     reference: Option<PathBuf>,
-    /// Inertial samples of another device on the same body instead: a recording, or a csv as EuRoC has it.
+    /// IMU data of another device on the same body instead: a recording, or a csv in EuRoC's format.
     #[arg(
         long,
         value_name = "MCAP|CSV",
@@ -72,10 +74,10 @@ pub struct Arguments {
         allow_negative_numbers = true
     )]
     offset_secs: f64,
-    /// Range around --offset-secs in which the offset is searched.
+    /// Search range of the offset around --offset-secs.
     #[arg(long, default_value_t = 10.0, value_name = "SECS")]
     search_secs: f64,
-    /// Estimate a constant drift of the offset as well.
+    /// Also estimate a constant drift of the offset.
     #[arg(long)]
     drift: bool,
     /// Also write the reference as ground truth of the estimate's body.
@@ -87,19 +89,17 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     anyhow::ensure!(
         arguments.offset_secs.is_finite() && (0.0..=3600.0).contains(&arguments.search_secs),
-        "--offset-secs must be a finite number, --search-secs one from 0 to 3600"
+        "--offset-secs must be a finite number, and --search-secs one from 0 to 3600"
     );
     let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
     let Some(input) = inputs.into_iter().flatten().next() else {
-        anyhow::bail!("name a trajectory, or inertial samples with --imu");
+        anyhow::bail!("give a trajectory, or IMU data with --imu");
     };
     if let Some(reference) = &arguments.reference_imu {
         return gyroscopes::run(input, reference, arguments, context);
     }
     let Some(path) = &arguments.reference else {
-        anyhow::bail!(
-            "name a trajectory with --reference, or inertial samples with --reference-imu"
-        );
+        anyhow::bail!("give a trajectory with --reference, or IMU data with --reference-imu");
     };
     if let Some(out) = &arguments.out {
         context.claim(out, &[input, path])?;
@@ -195,15 +195,15 @@ fn pose_text(name: &str, pose: &UncertainPose) -> String {
 fn text(found: &HandEye) -> String {
     let [first, second, third] = found.excitation.turn_rms_deg;
     pose_text(
-        "estimate's body on the reference's",
+        "estimate's body in the reference's body frame",
         &found.reference_from_estimate_body,
     ) + &pose_text(
-        "estimate's world in the reference's",
+        "estimate's world in the reference's world",
         &found.reference_from_estimate_world,
     ) + &format!(
-        "offset of the clocks: {:+.6} s (σ {:.3} ms), drift {:.2} ppm; correlation of angular speeds {:.3}\n\
-             turned by {first:.1}°, {second:.1}°, {third:.1}° rms about its three axes\n\
-             left over: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n",
+        "clock offset: {:+.6} s (σ {:.3} ms), drift {:.2} ppm; correlation of angular rates \
+             {:.3}\nrotated by {first:.1}°, {second:.1}°, {third:.1}° rms about its three \
+             axes\nresidual: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n",
         found.offset_secs,
         1000.0 * found.sigma_offset_secs,
         1e6 * found.drift,

@@ -14,8 +14,7 @@ mod wrong_place;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, solvers on a problem that grows, features on
-/// pairs of images, and lsfb itself with parts of a map and in simulated places.
+/// Benchmark SLAM systems, solvers, features, and lsfb itself; serve a leaderboard.
 ///
 /// Examples:
 ///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation

@@ -9,11 +9,12 @@ use crate::context::Context;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
-/// Place every scan of Wi-Fi by the scans of all other walks: the baseline for localization by radio.
+/// Localize every Wi-Fi scan by the scans of all other walks: the baseline for radio localization.
 ///
-/// Reads the tables of `lsfb dataset radio`, one for each walk. A scan is compared with all scans of other walks by the cosine of their
-/// powers; the places of the nearest are averaged. Errors are horizontal, and given also for the scans near which another walk has been:
-/// elsewhere no method could know the place.
+/// Reads the tables of `lsfb dataset radio`, one per walk. A scan is compared with all scans of other
+/// walks by the cosine of their signal powers; the places of the nearest are averaged. Errors are
+/// horizontal, and also given for the scans that have another walk nearby: elsewhere no method could
+/// know the place.
 ///
 /// Examples:
 ///   lsfb bench radio walk1.csv walk2.csv walk3.csv
@@ -21,10 +22,10 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// A table for each walk.
+    /// One table per walk.
     #[arg(value_name = "CSV", required = true, num_args = 2..)]
     walks: Vec<PathBuf>,
-    /// Scans whose places are averaged.
+    /// Number of nearest scans whose places are averaged.
     #[arg(long, value_name = "N", default_value_t = NeighbourConfig::default().neighbours)]
     neighbours: usize,
 }
@@ -43,7 +44,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .find(|other| crate::files::is_same(other, path));
         anyhow::ensure!(
             same.is_none(),
-            "{}: given twice: a walk that is compared with itself is found exactly",
+            "{}: given twice: comparing a walk with itself finds every place exactly",
             path.display()
         );
         walks.push(read_table(path)?);
@@ -68,12 +69,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
         for reach in &figures.reaches {
             if let Some(errors_m) = &reach.errors_m {
-                text += &format!("\nother walk within {} m: {}", reach.within_m, of(errors_m));
+                text += &format!(
+                    "\nanother walk within {} m: {}",
+                    reach.within_m,
+                    of(errors_m)
+                );
             }
         }
         if figures.unheard > 0 {
             text += &format!(
-                "\n{} scans share no sender with another walk",
+                "\n{} scans share no transmitter with another walk",
                 figures.unheard
             );
         }

@@ -14,25 +14,29 @@ use crate::standing::program_sha256;
 
 /// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
 ///
-/// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
-/// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images, stamped). The median of several runs counts; ×
-/// stands where more than half failed, with the cause. Runs that failed beside others, and trajectories that are the truth itself or are odd
-/// otherwise, are named below the table. A finished run is repeated where its command, its program, a file that the command names or the plan
-/// lists (files = [...]: what a shell starts, packages), or a file of its input changed, or with --again; not with --force, which replaces the
-/// tables. All are judged anew each time. Writes table.txt, .csv, .tex and .html, and a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
+/// The plan (TOML) lists sequences (a recording, its truth, the longer side of the place) and systems
+/// (a command with {input}, {out}, {trajectory}, {sequence}, {run}; the layout that it reads: as_is,
+/// euroc, tum_vi, kitti, images, stamped). The median of several runs counts; × means that more than
+/// half of the runs failed, with the cause. Single failed runs and suspicious trajectories, such as the
+/// truth itself, are named below the table.
+///
+/// A finished run is repeated if its command, its program, a file named by the command or the plan
+/// (files = [...]), or its input has changed, or with --again. --force only replaces the tables. All
+/// runs are evaluated anew each time. Writes table.txt, .csv, .tex and .html, and a page per sequence
+/// (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The plan.
+    /// Plan of sequences and systems.
     #[arg(value_name = "TOML")]
     plan: PathBuf,
     /// Folder for inputs, runs and tables.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Repeat all runs, also those that are finished.
+    /// Repeat all runs, including finished ones.
     #[arg(long)]
     again: bool,
 }

@@ -19,11 +19,13 @@ use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 use crate::twin_truth::{judge_scan, judge_walk};
 
-/// Put every walk of a trial into every map of it: a pose in another place's map is wrong, whatever it says.
+/// Localize every walk of a trial in every map; any pose in another place's map is an error.
 ///
-/// The trial is a folder of `lsfb bench twin --keep-recordings`. A walk in the map of its own place and seed, or of the large office that holds
-/// that place, is judged by its truth, a pose more than 10 cm off is wrong; of a walk on another floor (--condition other-floor) and in the map of another place or seed
-/// every pose is wrong. The exit code is 4 if any wrong pose is given. What is finished is not run again. Writes wrong-place.json.
+/// The trial is a folder of `lsfb bench twin --keep-recordings`. In the map of its own place and seed,
+/// or of the large office that contains that place, a walk is judged by its truth: a pose more than 10
+/// cm off is wrong. For a walk on another floor (--condition other-floor), or in the map of another
+/// place or seed, every pose is wrong. Exit code 4: wrong poses were given. Finished parts are not run
+/// again. Writes wrong-place.json.
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --try-out --true-rigs --seeds 2 --condition as-scanned,six-months,other-floor --keep-recordings
@@ -31,13 +33,13 @@ use crate::twin_truth::{judge_scan, judge_walk};
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trial's folder.
+    /// Folder of the trial.
     #[arg(value_name = "TRIAL")]
     trial: PathBuf,
     /// Folder for trajectories and the result.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Walk in other maps only, not in their own.
+    /// Localize walks only in maps of other places, not in their own.
     #[arg(long)]
     only_others: bool,
 }

@@ -11,10 +11,11 @@ use crate::context::Context;
 use crate::judged::{Judged, lines, printable};
 use crate::outcome::Outcome;
 
-/// Check a dataset against its hashes: what is missing, changed or added since it was packed.
+/// Check a dataset against its hashes: files missing, changed or added since it was packed.
 ///
-/// A truth that is held back is said to be; one that is there must be the one that dataset.toml names. Compare the printed hash of
-/// SHA256SUMS with the published one: whoever changes files can change the list as well. The exit code is 4 if anything differs.
+/// Truth that is held back is reported; truth that is present must be the one that dataset.toml names.
+/// Compare the printed hash of SHA256SUMS with the published one: anyone who changes files can change
+/// the list as well. Exit code 4: something differs.
 ///
 /// Examples:
 ///   lsfb dataset check dataset
@@ -45,11 +46,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         differences.extend(in_truth);
         findings.push(of_the_truth(&folder, &description)?);
     } else {
-        let what = "held back: not looked at";
+        let what = "held back: not checked";
         findings.push(Finding::new("truth", Verdict::Unknown, TRUTH, what));
     }
     if findings.iter().all(|f| f.verdict != Verdict::Fail) {
-        let what = "every file is as it was packed";
+        let what = "every file is unchanged";
         findings.push(Finding::new("files", Verdict::Pass, "files", what));
     }
     let checked = Checked {
@@ -100,7 +101,7 @@ fn absent(folder: &DatasetFolder, description: &Description) -> Vec<Finding> {
     let missing = wanted.into_iter().filter(|path| !path.is_file());
     missing
         .map(|path| {
-            let what = "is named by dataset.toml, and is not there";
+            let what = "is named in dataset.toml, but is missing";
             Finding::new("absent", Verdict::Fail, path.display().to_string(), what)
         })
         .collect()
@@ -110,8 +111,8 @@ fn of_the_truth(folder: &DatasetFolder, description: &Description) -> anyhow::Re
     let own = sha256_of(&folder.truth().join("SHA256SUMS"))?;
     let is_same = own == description.truth_sums_sha256;
     let what = match is_same {
-        true => "is the one that dataset.toml names",
-        false => "is another one than dataset.toml names",
+        true => "is the one named in dataset.toml",
+        false => "differs from the one named in dataset.toml",
     };
     Ok(Finding::new(
         "truth",

@@ -131,7 +131,7 @@ impl Contents<'_> {
         let lost = wanted.record(&layout, self.context, last, || {})?;
         anyhow::ensure!(
             lost == 0,
-            "{}: {lost} messages were lost while it was recorded: run the command again",
+            "{}: {lost} messages were lost during recording: run the command again",
             wish.name()
         );
         self.calibration(wish, &rig)?;

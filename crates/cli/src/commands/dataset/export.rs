@@ -17,15 +17,16 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Export a sequence of a dataset to the files of other programs, with its truth where that is there.
+/// Export a sequence of a dataset for other programs, with its truth if present.
 ///
-/// EuRoC and TUM-VI folders get images, inertial samples, sensor.yaml and truth; kitti and images have stamps in a file; all get the rig and
-/// truth.tum. kapture, COLMAP and a session of LaMAR's capture format place every image by the truth, and are refused without it, as is a
-/// walk of Indoor Location 2.0, whose waypoints are of the truth. Recordings themselves are ROS 2 bags.
+/// EuRoC and TUM-VI folders get images, IMU data, sensor.yaml and truth; kitti and images have stamps
+/// in a file; all get the rig and truth.tum. kapture, COLMAP and LaMAR sessions place every image by
+/// the truth, and Indoor Location 2.0 takes its waypoints from it; these are refused without it. The
+/// recordings themselves are ROS 2 bags.
 ///
-/// --hidden-regions fills what must not be seen with its mean grey: on each line of the text file CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
-/// with - - for all times. Whoever finds faces writes that file: lsfb does not find them, and hides them in exported images only,
-/// never in the recordings.
+/// --hidden-regions fills regions with their mean grey: lines of CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
+/// with - - for all times. lsfb does not detect faces: run a detector that writes this file. Only
+/// exported images are changed, never the recordings.
 ///
 /// Examples:
 ///   lsfb dataset export dataset C3-android --format euroc --out c3
@@ -36,16 +37,16 @@ pub struct Arguments {
     /// The dataset.
     #[arg(value_name = "FOLDER")]
     dataset: PathBuf,
-    /// The sequence.
+    /// Name of the sequence.
     #[arg(value_name = "NAME")]
     sequence: String,
-    /// Whose files.
+    /// Format to export.
     #[arg(long, value_name = "FORMAT", value_enum)]
     format: Program,
-    /// Folder to write them to.
+    /// Folder for the files.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Regions of images that must not be seen.
+    /// Regions of images to hide.
     #[arg(long, value_name = "FILE")]
     hidden_regions: Option<PathBuf>,
 }
@@ -122,7 +123,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         places_images || matches!(arguments.format, Program::Lamar | Program::IndoorLocation);
     anyhow::ensure!(
         !needs_truth || !truth.is_empty(),
-        "{}: no truth, which places the images or waypoints there: choose euroc or images",
+        "{}: there is no truth, which this format needs to place images or waypoints: use euroc or images",
         truth_path.display()
     );
     let around = images.parent().unwrap_or(out);
@@ -181,12 +182,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if exported.without_beacon > 0 {
             let left_out = exported.without_beacon;
             text += &format!(
-                "\n{left_out} Bluetooth advertisements are of no iBeacon and were left out"
+                "\n{left_out} Bluetooth advertisements are not from iBeacons and were left out"
             );
         }
         for camera in &exported.without_lens {
             text += &format!(
-                "\n{camera} has no sensor.yaml, which knows no such lens: rig.toml has it"
+                "\n{camera} has no sensor.yaml, which cannot hold its lens model: see rig.toml"
             );
         }
         text
@@ -264,7 +265,7 @@ fn placed(
     }
     let files = export_image_poses(format, &rig, &cameras, &poses)?;
     Ok((
-        files.context("the format holds no poses of images")?,
+        files.context("the format cannot hold image poses")?,
         without,
     ))
 }

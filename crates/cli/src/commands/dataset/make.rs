@@ -12,12 +12,14 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Simulate the sequences of the plan, and pack them as a dataset with rigs, hashes, a licence and the truth in a folder of its own.
+/// Simulate the sequences of the plan, and pack them as a dataset.
 ///
-/// Walks go beside the scanner's path. At less than 100 percent they take that share of their time and way, but no less than
-/// --min-secs; the scanner takes as long as the longest walk of its environment, and no less than four times --min-secs. Goes on where it was stopped: what is packed is not made
-/// again. What it needs for that lies in FOLDER.making: the seed, by which the truth can be made again, and the key of the
-/// hashed identifiers. Keep that folder to yourself.
+/// The dataset has rigs, hashes, a licence, and the truth in a separate folder. Walks go beside the
+/// scanner's path. Below 100 percent they take that share of their time and length, but at least
+/// --min-secs; the scan takes as long as the longest walk of its environment, and at least four times
+/// --min-secs. An interrupted run resumes; packed sequences are not made again. The folder
+/// FOLDER.making holds what this needs: the seed, which reproduces the truth, and the key of the hashed
+/// identifiers. Keep it private.
 ///
 /// Examples:
 ///   lsfb dataset make --out dataset
@@ -29,22 +31,23 @@ pub struct Arguments {
     /// Folder of the dataset.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Share of each sequence's time and way.
+    /// Share of each sequence's time and length to simulate.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0, value_parser = percent)]
     scale_percent: f64,
     /// Shortest walk, unless the whole sequence is shorter.
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = secs)]
     min_secs: f64,
-    /// Images of three quarters of the size, scans with five images a second: a tenth of the work.
+    /// Images of three quarters of the size, scans with five images per second: a tenth of the work.
     #[arg(long)]
     small_images: bool,
-    /// Sequences of `lsfb dataset plan`, separated by commas; without it all 75.
+    /// Sequences of `lsfb dataset plan`, separated by commas; by default all 75.
     #[arg(long = "sequence", value_name = "NAME", value_delimiter = ',')]
     sequences: Vec<String>,
-    /// Seed of the buildings, the walks and the noise. Choose one that nobody guesses where the truth is held back.
+    /// Seed of the buildings, the walks and the noise. Choose one that nobody can guess if the truth is
+    /// held back.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Licence of the dataset, a text file; without it a note on CC BY 4.0.
+    /// Licence of the dataset, a text file; by default a note on CC BY 4.0.
     #[arg(long, value_name = "FILE")]
     licence: Option<PathBuf>,
 }
@@ -75,7 +78,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let known = |name: &String| all.iter().any(|s| s.name == *name);
     if let Some(name) = arguments.sequences.iter().find(|name| !known(name)) {
         anyhow::bail!(
-            "{name:?} is no sequence: `lsfb dataset plan` lists motions, C3-android is one with its device"
+            "{name:?} is not a sequence: `lsfb dataset plan` lists motions; add the device, as in C3-android"
         );
     }
     let is_wanted =
@@ -158,7 +161,7 @@ fn take_folders(out: &Path, settings: &Settings, context: &Context) -> anyhow::R
     let is_empty = std::fs::read_dir(out).map_or(true, |mut entries| entries.next().is_none());
     anyhow::ensure!(
         is_empty || before.as_ref() == Some(settings) || context.force(),
-        "{}: has files that are not of this dataset, or of other settings: choose another --out, or use it with --force",
+        "{}: has files that are not of this dataset, or were made with other settings: choose another --out, or use --force",
         out.display()
     );
     if !is_empty && before.as_ref() != Some(settings) {

@@ -18,10 +18,11 @@ use crate::context::Context;
 use crate::files::expect_file;
 use crate::outcome::Outcome;
 
-/// Plan, make, check, measure and export datasets: the 75 sequences of the paper's Tables VI and VII, or your own.
+/// Plan, make, check, measure and export datasets.
 ///
-/// A dataset is a folder of recordings with rigs, hashes and a licence: scans in map, walks in query, true trajectories in truth, which can
-/// be held back for `lsfb bench serve`.
+/// Covers the 75 sequences of the paper's Tables VI and VII, or your own. A dataset is a folder of
+/// recordings with rigs, hashes and a licence: scans in map, walks in query, true trajectories in
+/// truth, which can be held back for `lsfb bench serve`.
 ///
 /// Examples:
 ///   lsfb dataset plan

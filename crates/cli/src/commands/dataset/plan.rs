@@ -8,9 +8,10 @@ use crate::context::Context;
 use crate::judged::Judged;
 use crate::outcome::Outcome;
 
-/// Print the plan of the paper's Tables VI and VII as TOML: environments, motions, devices, frames and lengths.
+/// Print the plan of the paper's Tables VI and VII as TOML.
 ///
-/// With --json, its 75 sequences one by one, judged by their own numbers: a length that nobody walks in that time fails.
+/// It lists environments, motions, devices, frames and lengths. --json lists its 75 sequences and
+/// checks their numbers: one whose length cannot be walked in its time fails.
 ///
 /// Examples:
 ///   lsfb dataset plan

@@ -13,12 +13,14 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Give every reading of Wi-Fi, Bluetooth and the magnetic field its place: where the phone was when it was heard, with its standard deviation.
+/// Locate every Wi-Fi, Bluetooth and magnetic reading of a walk, with its standard deviation.
 ///
-/// Places come from a trajectory, or, without one, from the waypoints of an imported walk of Indoor Location 2.0. A scan takes seconds; each
-/// of its readings is placed at its own time. sigma_m is that of each coordinate: of the known places, of the time between hearing and
-/// stamp at the speed then, and of what the body may have done in between. Readings outside of the trajectory or in its gaps get no place,
-/// and are counted. Magnetic fields are in the sensor's axes.
+/// Positions come from a trajectory, or without one from the waypoints of an imported walk of Indoor
+/// Location 2.0. A scan takes seconds; each reading is placed at its own time. sigma_m is per
+/// coordinate, and includes the uncertainty of the known positions, of the time between reception and
+/// stamp at the current speed, and of the motion between known positions. Readings outside the
+/// trajectory or in its gaps get no position, and are counted. Magnetic fields are in the sensor's
+/// axes.
 ///
 /// Examples:
 ///   lsfb dataset radio walk.mcap --trajectory walk.tum --out radio.csv
@@ -29,13 +31,13 @@ pub struct Arguments {
     /// The recording.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// Where the phone was, on the recording's clock; without it the recording's waypoints.
+    /// Trajectory of the phone, on the recording's clock; by default the recording's waypoints are used.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// Standard deviation of each coordinate of a known place that brings none.
+    /// Standard deviation per coordinate of known positions that have none of their own.
     #[arg(long, value_name = "M", default_value_t = PlacingConfig::default().place_sigma_m)]
     place_sigma_m: f64,
-    /// The table.
+    /// Table to write.
     #[arg(long, value_name = "CSV")]
     out: PathBuf,
 }
@@ -75,7 +77,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     anyhow::ensure!(
         known.len() >= 2,
-        "{}: {} known places: give a trajectory with --trajectory",
+        "{}: {} known positions: give a trajectory with --trajectory",
         arguments.recording.display(),
         known.len()
     );
@@ -86,13 +88,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let usual_m_s = median(speeds.collect()).unwrap_or(0.0);
     anyhow::ensure!(
         usual_m_s < FASTEST_M_S,
-        "{}: {usual_m_s:.0} m/s from one known place to the next: are places in metres, and times on the recording's clock?",
+        "{}: {usual_m_s:.0} m/s between known positions: are positions in metres, and times on the recording's clock?",
         arguments.recording.display()
     );
     let placed = place(&recording, &known, &config)?;
     anyhow::ensure!(
         !placed.readings.is_empty(),
-        "{}: no reading has a place: {} outside of the known places in time, {} in their gaps; check that both have one clock",
+        "{}: no reading could be placed: {} outside the time of the known positions, {} in gaps; check that both use one clock",
         arguments.recording.display(),
         placed.outside,
         placed.in_gaps
@@ -139,7 +141,7 @@ fn of_trajectory(path: &Path, context: &Context) -> anyhow::Result<Vec<KnownPlac
 
 fn text(found: &Found<'_>, readings: &[PlacedReading]) -> String {
     let mut text = format!(
-        "{}: {} readings of Wi-Fi, {} of Bluetooth, {} of the magnetic field at their places",
+        "{}: placed {} Wi-Fi, {} Bluetooth and {} magnetic readings",
         found.table.display(),
         found.wifi,
         found.ble,
@@ -151,7 +153,7 @@ fn text(found: &Found<'_>, readings: &[PlacedReading]) -> String {
     }
     if found.outside + found.in_gaps > 0 {
         text += &format!(
-            "\n{} readings have no place: {} before or after the known places, {} in their gaps",
+            "\n{} readings could not be placed: {} before or after the known positions, {} in gaps",
             found.outside + found.in_gaps,
             found.outside,
             found.in_gaps

@@ -9,10 +9,11 @@ use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Hash every file of a dataset that was put together by hand, after its dataset.toml was written.
+/// Hash every file of a dataset that was assembled by hand, once its dataset.toml is written.
 ///
-/// Writes truth/SHA256SUMS, the hash of that list into dataset.toml, and SHA256SUMS of all the rest; `sha256sum --check` reads both.
-/// Publish the printed hash: who has it can tell that nothing was changed since.
+/// Writes truth/SHA256SUMS, its hash into dataset.toml, and SHA256SUMS of everything else; `sha256sum
+/// --check` reads both. Publish the printed hash, so that anyone can verify that nothing was changed
+/// since.
 ///
 /// Examples:
 ///   lsfb dataset seal dataset
@@ -35,7 +36,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let (folder, description) = super::open(&arguments.dataset)?;
     anyhow::ensure!(
         folder.truth().is_dir(),
-        "{}: there is no truth, whose hash belongs in dataset.toml: put it there, and hold it back afterwards",
+        "{}: there is no truth, but dataset.toml needs its hash: put it there, and hold it back afterwards",
         folder.truth().display()
     );
     context.will_write(&arguments.dataset);

@@ -13,11 +13,11 @@ use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
-/// Measure the sequences of a dataset, in the layout of the paper's Tables III, VI and VII, and judge whether that can be true.
+/// Measure the sequences of a dataset (Tables III, VI and VII), and check their plausibility.
 ///
-/// Images, rates, gaps and angles of view come from the recordings; speed, turning, parallax, classes of motion, and blur where exposure times were recorded, from the true
-/// trajectories, where they are there. The exit code is 4 where a sequence cannot be as it says: too fast for anybody on foot, cut short,
-/// at another rate.
+/// Images, rates, gaps and fields of view come from the recordings; speed, turning, parallax, motion
+/// classes, and blur if exposure times were recorded, from the true trajectories if present. Exit code
+/// 4: a sequence is implausible (too fast for a pedestrian, cut short, or at another rate).
 ///
 /// Examples:
 ///   lsfb dataset stats dataset

@@ -29,13 +29,13 @@ use crate::twin_truth::{judge_scan, judge_walk};
 
 /// Simulate, record, map, localize and evaluate: the whole pipeline in a few minutes.
 ///
-/// A simulated backpack scans a furnished room and a corridor; simulated glasses walk through them later. The devices send
-/// real bytes to the recorder, and every later stage reads the recordings only. The same seed gives the same trajectories
-/// and map. An interrupted demo continues after its last finished stage. Where `lsfb map` or `lsfb groundtruth` would say that the result must not
-/// be used, the exit code is 4.
+/// A simulated backpack scans a furnished room and a corridor; simulated glasses walk through them
+/// later. The devices send real bytes to the recorder, and every later stage reads only the recordings.
+/// The same seed gives the same trajectories and map. An interrupted demo resumes after its last
+/// finished stage. Exit code 4: `lsfb map` or `lsfb groundtruth` would advise against using the result.
 ///
-/// The demo is easy: the walk follows the scan through the same small place, and the rig is known exactly. How accurate the stages are is
-/// measured by the standard trial, `lsfb bench twin`.
+/// The demo is easy: the walk follows the scan through the same small place, and the rig is known
+/// exactly. To measure accuracy, run the standard trial, `lsfb bench twin`.
 ///
 /// Examples:
 ///   lsfb demo --out demo-out --seed 7
@@ -46,7 +46,7 @@ pub struct Arguments {
     /// Folder for recordings, map, trajectories and report.
     #[arg(long, value_name = "FOLDER", default_value = "demo-out")]
     out: PathBuf,
-    /// Seed of the building, the walks and the noise; without it that of --config, or 1.
+    /// Seed of the building, the walks and the noise; by default that of --config, otherwise 1.
     #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// Settings of the simulation instead of the defaults; --seed overrides its seed.
@@ -339,11 +339,10 @@ fn text(s: &Summary) -> String {
         .map(|p| format!(", {}", p.display()))
         .unwrap_or_default();
     format!(
-        "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % localized\n\
-         scanner  ATE {:.2} cm rms, {:.2} cm max\n\
-         map      {} points, reprojection {:.3} px rms\n\
-         run      {:.0} s, {:.0} MB at most, {} messages lost, {} parts of the walk left out\n\
-         look at  {}{viewer}",
+        "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % \
+         localized\nscanner  ATE {:.2} cm rms, {:.2} cm max\nmap      {} points, reprojection {:.3} \
+         px rms\nrun      {:.0} s, {:.0} MB at most, {} messages lost, {} parts of the walk left \
+         out\nopen     {}{viewer}",
         s.ate_glasses_rms_m * 100.0,
         s.ate_glasses_max_m * 100.0,
         s.ate_glasses_in_map_rms_m * 100.0,

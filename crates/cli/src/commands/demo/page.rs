@@ -10,8 +10,9 @@ use super::super::map::WrittenMap;
 use super::{Errors, Summary};
 
 /// What the figures are no proof of.
-const EASY: &str = "The demo is easy: the walk follows the scan through the same small place, and the rig is known exactly. \
-    It shows that all stages work; how accurate they are is measured by the standard trial, lsfb bench twin.";
+const EASY: &str = "The demo is easy: the walk follows the scan through the same small place, and \
+    the rig is known exactly. It shows that all stages work; the standard trial, lsfb bench twin, \
+    measures their accuracy.";
 
 /// Limits of the first figures: they make the report's verdict.
 const MAX_ATE_M: f64 = 0.03;

@@ -48,7 +48,7 @@ fn is_root(root: &Path) -> bool {
 pub(super) fn groups(root: &Path) -> Finding {
     let name = "groups";
     if is_root(root) {
-        return check(name, Verdict::Pass, "root, who may open every device", "");
+        return check(name, Verdict::Pass, "root, which may open every device", "");
     }
     let mine = [own_ids(root, "Groups:"), own_ids(root, "Gid:")].concat();
     let table = read(root, "etc/group").unwrap_or_default();
@@ -145,7 +145,7 @@ pub(super) fn real_time(root: &Path) -> Finding {
     let may_hurry = priority >= GOOD_RT_PRIORITY && nice >= GOOD_NICE;
     let good = (may_hurry || is_root(root)) && locked >= 64 << 20;
     let locked_text = match locked {
-        u64::MAX => "any amount of".to_owned(),
+        u64::MAX => "unlimited".to_owned(),
         bytes => format!("{} kB of", bytes / 1024),
     };
     check(
@@ -166,7 +166,7 @@ pub(super) fn open_files(root: &Path) -> Finding {
             u64::MAX => "unlimited".to_owned(),
             files => format!("up to {files}"),
         },
-        format!("ulimit -n {GOOD_OPEN_FILES}, for good: {INSTALL}"),
+        format!("ulimit -n {GOOD_OPEN_FILES}; to make it permanent: {INSTALL}"),
     )
     .value(files as f64, "files")
     .limit(Limit::AtLeast(GOOD_OPEN_FILES as f64))

@@ -50,7 +50,7 @@ pub(super) fn serial_latency(root: &Path) -> Finding {
         (_, _) => check(
             name,
             Verdict::Warn,
-            format!("{} bundle bytes for several milliseconds", late.join(", ")),
+            format!("{} buffer bytes for several milliseconds", late.join(", ")),
             INSTALL,
         ),
     }

@@ -34,7 +34,7 @@ pub(super) fn checks(folder: &Path) -> Vec<Finding> {
                         free as f64 / 1e9,
                         free as f64 / 164e6 / 60.0
                     ),
-                    "make room, or record to another disk",
+                    "free disk space, or record to another disk",
                 )
                 .value((free as f64 / 1e9).round(), "GB")
                 .limit(Limit::AtLeast(GOOD_FREE_BYTES as f64 / 1e9)),
@@ -44,7 +44,7 @@ pub(super) fn checks(folder: &Path) -> Vec<Finding> {
             "disk space",
             Verdict::Fail,
             format!("{place}: {error}"),
-            "name an existing folder",
+            "give an existing folder",
         )),
     }
     checks.push(match write_speed(folder) {
@@ -60,7 +60,7 @@ pub(super) fn checks(folder: &Path) -> Vec<Finding> {
             "disk speed",
             Verdict::Fail,
             format!("cannot write to {place}: {error}"),
-            "name a folder that can be written to",
+            "give a writable folder",
         ),
     });
     checks

@@ -31,7 +31,7 @@ pub(super) fn receive_buffer(root: &Path) -> Finding {
             name,
             at_least(bytes as f64, GOOD_RMEM_BYTES as f64, POOR_RMEM_BYTES as f64),
             format!("net.core.rmem_max = {bytes}"),
-            format!("sudo sysctl -w net.core.rmem_max={GOOD_RMEM_BYTES}, for good: {INSTALL}"),
+            format!("sudo sysctl -w net.core.rmem_max={GOOD_RMEM_BYTES}; to make it permanent: {INSTALL}"),
         )
         .value(bytes as f64, "bytes")
         .limit(Limit::AtLeast(GOOD_RMEM_BYTES as f64)),
@@ -52,9 +52,11 @@ pub(super) fn backlog(root: &Path) -> Finding {
         Verdict::Warn.unless(good),
         match found {
             Some(packets) => format!("net.core.netdev_max_backlog = {packets}"),
-            None => "not of this network namespace".to_owned(),
+            None => "not visible in this network namespace".to_owned(),
         },
-        format!("sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}, for good: {INSTALL}"),
+        format!(
+            "sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}; to make it permanent: {INSTALL}"
+        ),
     )
 }
 
@@ -69,8 +71,11 @@ pub(super) fn dirty_pages(root: &Path) -> Finding {
     check(
         "write-back",
         Verdict::Warn.unless(limit <= GOOD_DIRTY_BYTES),
-        format!("up to {} MB wait in memory for the disk", limit / 1_000_000),
-        format!("sudo sysctl -w vm.dirty_bytes=536870912, for good: {INSTALL}"),
+        format!(
+            "up to {} MB are buffered in memory before writing to disk",
+            limit / 1_000_000
+        ),
+        format!("sudo sysctl -w vm.dirty_bytes=536870912; to make it permanent: {INSTALL}"),
     )
     .value((limit / 1_000_000) as f64, "MB")
     .limit(Limit::AtMost((GOOD_DIRTY_BYTES / 1_000_000) as f64))
@@ -91,7 +96,7 @@ pub(super) fn usbfs(root: &Path) -> Finding {
             Verdict::Warn,
             format!("usbfs_memory_mb = {megabytes}: too little for cameras read through libusb"),
             format!(
-                "echo {GOOD_USBFS_MB} | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb, for good: {INSTALL}"
+                "echo {GOOD_USBFS_MB} | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb; to make it permanent: {INSTALL}"
             ),
         ),
         None => check(
@@ -115,8 +120,10 @@ pub(super) fn early_writing(root: &Path) -> Finding {
     check(
         "early writing",
         Verdict::Warn.unless(start <= GOOD_BACKGROUND_BYTES),
-        format!("begins at {} MB", start / 1_000_000),
-        format!("sudo sysctl -w vm.dirty_background_bytes=67108864, for good: {INSTALL}"),
+        format!("starts at {} MB", start / 1_000_000),
+        format!(
+            "sudo sysctl -w vm.dirty_background_bytes=67108864; to make it permanent: {INSTALL}"
+        ),
     )
     .value((start / 1_000_000) as f64, "MB")
     .limit(Limit::AtMost((GOOD_BACKGROUND_BYTES / 1_000_000) as f64))
@@ -130,7 +137,7 @@ pub(super) fn video_options(root: &Path) -> Finding {
         return check(
             name,
             Verdict::Unknown,
-            "no UVC camera was ever plugged in",
+            "no UVC camera has been plugged in yet",
             "",
         );
     }
@@ -146,7 +153,7 @@ pub(super) fn video_options(root: &Path) -> Finding {
         return check(
             name,
             Verdict::Pass,
-            "monotonic stamps, no frame dropped",
+            "monotonic stamps, no dropped frames",
             "",
         );
     }

@@ -31,7 +31,7 @@ pub(super) fn time_services() -> TimeServices {
 pub(super) fn clock(root: &Path, services: &TimeServices) -> Finding {
     let name = "clock";
     let pulse = if root.join("dev/pps0").exists() {
-        ", with a pulse per second"
+        ", with PPS"
     } else {
         ""
     };
@@ -53,14 +53,14 @@ pub(super) fn clock(root: &Path, services: &TimeServices) -> Finding {
         return check(
             name,
             Verdict::Pass,
-            format!("follows a time server{pulse}"),
+            format!("synchronised to a time server{pulse}"),
             "",
         );
     }
     check(
         name,
         Verdict::Warn,
-        format!("follows nothing{pulse}: recordings of two machines will not agree"),
+        format!("not synchronised{pulse}: recordings of two machines will not agree"),
         "sudo apt-get install chrony; with a GNSS receiver sudo udev/install.sh --apply --gnss",
     )
 }
@@ -82,7 +82,7 @@ pub(super) fn lidar() -> Finding {
         None => check(
             name,
             Verdict::Warn,
-            "no address in 192.168.1.0/24, where a LiDAR sends to",
+            "no address in 192.168.1.0/24, to which a LiDAR sends",
             "sudo ip address add 192.168.1.100/24 dev <interface of the LiDAR>",
         ),
     }

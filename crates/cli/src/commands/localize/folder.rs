@@ -49,7 +49,7 @@ pub fn read(
             let names = several.iter().map(|layout| layout.name());
             let names: Vec<&str> = names.chain(euroc.map(|_| EUROC)).collect();
             anyhow::bail!(
-                "{}: this may be {}: name the folder that holds the images themselves, with --rig",
+                "{}: this may be {}: name the image folder and pass --rig",
                 folder.display(),
                 names.join(" or ")
             );
@@ -79,7 +79,7 @@ fn plain(folder: &Path, arguments: &Arguments) -> anyhow::Result<Listed> {
     if files.is_empty() {
         let layouts = ImageLayout::ALL.map(ImageLayout::name).join(", ");
         anyhow::bail!(
-            "{}: no .png, .jpg or .jpeg file here: name the folder that holds the images, or one in a layout that is known: {layouts}, {EUROC}",
+            "{}: no .png, .jpg or .jpeg file here: name the folder that holds the images, or one in a supported layout: {layouts}, {EUROC}",
             folder.display()
         );
     }
@@ -127,7 +127,7 @@ fn of_layout(folder: &Path, layout: ImageLayout) -> anyhow::Result<Listed> {
 fn with_own_rig(listed: Listed) -> anyhow::Result<FolderImages> {
     let rig = listed
         .rig
-        .context("it has no intrinsics of its cameras (sensor.yaml): give them with --rig")?;
+        .context("the intrinsics of its cameras (sensor.yaml) are missing: give them with --rig")?;
     for image in &listed.images {
         anyhow::ensure!(
             rig.cameras.contains_key(&image.camera),
@@ -151,7 +151,7 @@ fn with_rig(listed: Listed, rig: Rig, named: Option<&str>) -> anyhow::Result<Fol
     let first = images.first().map(|image| image.camera.clone());
     if let Some(other) = images.iter().find(|i| Some(&i.camera) != first.as_ref()) {
         anyhow::bail!(
-            "its images are of {}, {} and perhaps more, and rig {} does not have them all by these names: name the folder of one camera's images",
+            "its images are of {}, {} and perhaps more, but rig {} does not have all of them by these names: name the folder of one camera's images",
             first.unwrap_or_default(),
             other.camera,
             rig.name
@@ -170,7 +170,7 @@ fn camera_of(rig: &Rig, named: Option<&str>) -> anyhow::Result<String> {
         (None, [only]) => Ok((*only).to_owned()),
         (Some(name), _) if cameras.contains(&name) => Ok(name.to_owned()),
         _ => anyhow::bail!(
-            "rig {} has the cameras {}: name with --camera the one that took the images",
+            "rig {} has the cameras {}: name the one that took the images with --camera",
             rig.name,
             cameras.join(", ")
         ),

@@ -29,7 +29,7 @@ pub fn resolve(arguments: &Arguments) -> anyhow::Result<(PathBuf, PathBuf)> {
     match named[..] {
         [map, input] => Ok((map.clone(), input.clone())),
         _ => anyhow::bail!(
-            "name one map and one walk or folder of images: lsfb localize MAP WALK.mcap, or lsfb localize MAP FOLDER"
+            "give one map and one walk or folder of images: lsfb localize MAP WALK.mcap, or lsfb localize MAP FOLDER"
         ),
     }
 }
@@ -52,18 +52,18 @@ impl Input {
     /// Reads what the arguments name.
     pub fn open(path: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
         if arguments.posed_images.is_some() {
-            crate::files::expect_file(path, "name a folder of posed images")?;
+            crate::files::expect_file(path, "give a folder of posed images")?;
             let posed = PosedImages::read(path)?;
             for note in &posed.notes {
                 context.say(&format!("warning: {}: {note}", path.display()));
             }
             return Ok(Self::of_posed(&posed.every(arguments.every as usize)));
         }
-        crate::files::expect_file(path, "name a walk (MCAP) or a folder of images")?;
+        crate::files::expect_file(path, "give a walk (MCAP) or a folder of images")?;
         if path.is_file() {
             anyhow::ensure!(
                 arguments.rig.is_none() && arguments.every == 1,
-                "{}: --rig and --every are for folders of images; a walk brings its own rig",
+                "{}: --rig and --every are for folders of images; a walk contains its own rig",
                 path.display()
             );
             let walk = Box::new(context.open(path)?);

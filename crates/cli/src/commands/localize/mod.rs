@@ -21,24 +21,24 @@ use frames::Frame;
 use input::{Input, Kept};
 use unfinished::Unfinished;
 
-/// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
+/// Localize images, or the frames of a walk, in an HD map.
 ///
-/// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
-/// 0.99. Instants of a walk that are lost are looked for once more where those around them and the IMU have them, and where less than
-/// a fifth of a walk is recognised nothing is given. With --out, the same command continues behind the images that it had localized when it was stopped: they are kept in
-/// OUT.unfinished until then.
+/// Each frame is localized on its own. A pose is given if it is right with a probability of 0.99.
+/// Frames of a walk that are lost are searched for again where neighbouring frames and the IMU place
+/// them; if less than a fifth of a walk is recognized, no pose is given. With --out, an interrupted run
+/// resumes from OUT.unfinished.
 ///
-/// Images may lie in a folder without any pose, with the intrinsics of their cameras as one of these has them:
+/// Images without poses, in one of these layouts:
 ///   EuRoC, TUM-VI     mav0/cam0/data.csv and sensor.yaml; poses are those of the body
 ///   kapture           sensors/sensors.txt and records_camera.txt
-///   COLMAP            cameras.txt or .bin in the folder, in sparse/0 or in sparse; images that it could not place, too, where it has one camera
+///   COLMAP            cameras.txt or .bin in the folder, sparse/0 or sparse; with one camera also unregistered images
 ///   nerfstudio        transforms.json, transform_matrix left out
-///   7-Scenes          NAME.color.png, and K.txt where the camera is another
+///   7-Scenes          NAME.color.png, and K.txt if the camera is a different one
 ///   Strecha           images/ and gt_dense_cameras
-///   one camera        images, or images/, beside K.txt: the nine numbers of an undistorted pinhole
+///   one camera        images, or images/, beside K.txt (3 × 3, undistorted pinhole)
 ///   any               images alone, with --rig
-/// In a folder that has two of these, nobody knows which counts: name the images' own folder, with --rig. With --rig the intrinsics of the
-/// folder do not count.
+/// If a folder matches two layouts, name the image folder and pass --rig. --rig overrides the
+/// intrinsics in the folder.
 ///
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
@@ -48,40 +48,41 @@ use unfinished::Unfinished;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct Arguments {
-    /// The map, a folder, unless --map names it; then a walk (MCAP) or a folder of images without poses.
+    /// HD map (folder), unless given by --map; then a walk (MCAP) or a folder of images without poses.
     #[arg(value_name = "PATH", num_args = 0..=2)]
     paths: Vec<PathBuf>,
-    /// The map, a folder.
+    /// HD map (folder).
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// Folder of images with poses: K.txt, poses_T_world_cam_rowmajor4x4.txt and images/, a sequence of 7-Scenes, a scene of Strecha's,
-    /// nerfstudio's transforms.json, a kapture, or a project or model of COLMAP. Reports how many were placed correctly.
+    /// Folder of images with poses: K.txt, poses_T_world_cam_rowmajor4x4.txt and images/; a 7-Scenes
+    /// sequence; a Strecha scene; nerfstudio's transforms.json; a kapture; or a COLMAP project or model.
+    /// Reports how many were localized correctly.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
     /// Use only every n-th image.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// The rig of a folder of images, instead of the intrinsics in it.
+    /// Rig for a folder of images, instead of the intrinsics in the folder.
     #[arg(long, value_name = "TOML", conflicts_with = "posed_images")]
     rig: Option<PathBuf>,
-    /// Which camera of that rig took the images, where it has several.
+    /// Camera of that rig that took the images, if it has several.
     #[arg(long, value_name = "NAME", requires = "rig")]
     camera: Option<String>,
-    /// Write a line for each frame (CSV): pose, inliers, probability, standard deviations, covariance.
+    /// Write one line per frame (CSV): pose, inliers, probability, standard deviations, covariance.
     #[arg(long, value_name = "CSV")]
     out: Option<PathBuf>,
-    /// Settings instead of the defaults; `lsfb localize --help` names them.
+    /// Settings instead of the defaults; `lsfb localize --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
     #[command(flatten)]
     models: ModelFolder,
-    /// Also write a page: why frames were lost, with pictures of some of them.
+    /// Also write a page: why frames were not localized, with pictures of some of them.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
     /// Draw the matches of this frame, counted from 0.
     #[arg(long, value_name = "FRAME", requires = "out_drawing")]
     explain: Option<usize>,
-    /// Where to draw them (SVG).
+    /// Drawing of the matches (SVG).
     #[arg(long, value_name = "SVG", requires = "explain")]
     out_drawing: Option<PathBuf>,
 }
@@ -153,9 +154,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         _ => None,
     };
     if let Some(before) = unfinished.as_ref().map(Unfinished::len).filter(|n| *n > 0) {
-        context.note(&format!(
-            "going on behind {before} images that were localized before"
-        ));
+        context.note(&format!("resuming after {before} localized images"));
     }
     let stages = match (&arguments.out, arguments.explain) {
         (Some(out), None) => input.kept_stages(out, &map, &config, context)?,
@@ -166,10 +165,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         walk: &stages,
     };
     let found = input.localize(&localizer, &detector, kept, context)?;
-    anyhow::ensure!(
-        !found.frames.is_empty(),
-        "there is no image to be localized"
-    );
+    anyhow::ensure!(!found.frames.is_empty(), "there are no images to localize");
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
         // Of a folder of images it is the only one by now.
         let frame = if found.times.is_empty() { 0 } else { frame };
@@ -275,13 +271,12 @@ fn text(s: &Summary) -> String {
     );
     if s.by_little > 0 {
         text += &format!(
-            "\n{} of these rest on so little that a place outside the map which looks the same could have all of it: make sure that the map has the place",
+            "\n{} of these have so little evidence that a similar place outside the map could explain it: make sure that the map contains the place",
             s.by_little
         );
     }
     if !s.map_failures.is_empty() {
-        text +=
-            "\nThe map failed when it was made, so that places in it may be far from the truth:";
+        text += "\nThe map failed its checks when it was made, so that poses in it may be far from the truth:";
     }
     for failure in &s.map_failures {
         text += &format!("\n  {failure}");

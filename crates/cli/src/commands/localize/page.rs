@@ -57,13 +57,13 @@ pub fn page(
         }
         @if !lost.is_empty() {
             section {
-                h2 { "Why frames were lost" }
+                h2 { "Why frames were not localized" }
                 (scroll(&reasons(summary)))
             }
             section {
                 h2 { "Lost frames" }
                 p {
-                    "Grey: features. Green: inliers of the best pose that was not believed. Red: where it expects their points, ten times as far."
+                    "Grey: features. Green: inliers of the rejected best pose. Red: reprojection errors, magnified ten times."
                 }
                 @for one in &gallery { (one) }
             }

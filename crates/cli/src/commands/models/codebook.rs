@@ -12,10 +12,11 @@ use crate::context::Context;
 use crate::files;
 use crate::outcome::Outcome;
 
-/// Train a codebook by which `lsfb vio` recognises places, on the images of recordings.
+/// Train a codebook for place recognition in `lsfb vio`, on the images of recordings.
 ///
-/// The one built in was trained on simulated places and needs no replacement; this is how it was made. Give yours to `lsfb vio` by the
-/// setting `revisits.codebook`. Its format: pipeline/src/vlad/FORMAT.md.
+/// The built-in codebook was trained on simulated places and needs no replacement; this is how it was
+/// made. Set `revisits.codebook` of `lsfb vio` to use your own. Its format:
+/// pipeline/src/vlad/FORMAT.md.
 ///
 /// Examples:
 ///   lsfb models codebook office.mcap street.mcap --out own.codebook
@@ -26,7 +27,7 @@ pub struct CodebookArguments {
     /// Recordings with images.
     #[arg(value_name = "MCAP", required = true)]
     recordings: Vec<PathBuf>,
-    /// The codebook to write.
+    /// Codebook to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Number of words.
@@ -35,7 +36,7 @@ pub struct CodebookArguments {
     /// Seed of the training.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Time between images that are used, of each camera.
+    /// Time between the images used, per camera.
     #[arg(long, value_name = "SECS", default_value_t = 1.0)]
     every_secs: f64,
 }

@@ -11,7 +11,7 @@ use lsfb_pipeline::features::{
 /// Where weights are kept.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
-    /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.
+    /// Folder of model weights; by default $LSFB_MODELS, otherwise lsfb/models in $XDG_DATA_HOME.
     #[arg(long, value_name = "FOLDER")]
     models: Option<PathBuf>,
 }
@@ -46,7 +46,7 @@ impl ModelFolder {
         absolute("XDG_DATA_HOME")
             .or_else(|| absolute("HOME").map(|home| home.join(".local/share")))
             .map(|data| data.join("lsfb/models"))
-            .context("neither XDG_DATA_HOME nor HOME says where to keep weights: give --models")
+            .context("neither XDG_DATA_HOME nor HOME is set, so that there is no folder for weights: give --models")
     }
 
     /// The names that [`ModelFolder::feature`] knows: SIFT first, then the weights that were added.
@@ -73,10 +73,10 @@ impl ModelFolder {
                     folder.display(),
                     model.files()
                 ),
-                None => "`lsfb models list` names the others".to_owned(),
+                None => "`lsfb models list` shows the others".to_owned(),
             };
             anyhow::bail!(
-                "no feature {name} (there are: {}): {hint}",
+                "no feature {name} (available: {}): {hint}",
                 known.join(", ")
             );
         }
@@ -111,8 +111,8 @@ impl ModelFolder {
         let path = folder.join(&name);
         anyhow::ensure!(
             path.is_file(),
-            "the map holds {feature} features, and {name} is not in {}: add these weights with `lsfb models add FILE`, or name their \
-             folder with --models",
+            "the map holds {feature} features, but {name} is not in {}: add these weights with `lsfb \
+             models add FILE`, or name their folder with --models",
             folder.display()
         );
         Ok(Some(LearnedConfig::new(path, learned.clone())))

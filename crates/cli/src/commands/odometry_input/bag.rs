@@ -31,7 +31,7 @@ pub(super) fn run(
     let LidarTopic { topic, messages } = bag.lidar(choice.lidar)?;
     let mut said = InputReport {
         lidar_topic: Some(topic.clone()),
-        scan_times: "stamps of the messages".to_owned(),
+        scan_times: "message stamps".to_owned(),
         warnings: about_damage(&bag, context),
         ..InputReport::default()
     };
@@ -72,7 +72,7 @@ pub(super) fn run(
     said.warnings.extend(about_unread(&unread, context));
     if clocks > 0 {
         said.warnings.push(format!(
-            "the points of {clocks} scans have times of another clock than the stamps of the messages: of them only the differences are used"
+            "the points of {clocks} scans have times of another clock than the message stamps: only their differences are used"
         ));
     }
     Ok(Run {

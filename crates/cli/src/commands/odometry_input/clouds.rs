@@ -38,12 +38,12 @@ pub(super) fn run(
     let mut warnings = Vec::new();
     let scan_times = match clouds.scan_times() {
         ScanTimes::Points => "points".to_owned(),
-        ScanTimes::Names => "names of the files".to_owned(),
+        ScanTimes::Names => "file names".to_owned(),
         ScanTimes::List => "list beside the files".to_owned(),
         ScanTimes::Rate => {
-            let rate = format!("{} scans a second (--rate-hz)", choice.rate_hz);
+            let rate = format!("{} scans per second (--rate-hz)", choice.rate_hz);
             warnings.push(format!(
-                "nothing says when the scans were taken: {rate} are assumed"
+                "the times of the scans are unknown: {rate} are assumed"
             ));
             rate
         }

@@ -108,7 +108,7 @@ fn of_recording(
         input: InputReport {
             lidar_topic: Some(format!("/{}/points", recording.main_lidar())),
             extrinsic: Some("rig"),
-            scan_times: "stamps of the messages".to_owned(),
+            scan_times: "message stamps".to_owned(),
             ..InputReport::default()
         },
     })
@@ -118,7 +118,7 @@ fn of_recording(
 fn expect_no_topics(choice: &Choice) -> anyhow::Result<()> {
     anyhow::ensure!(
         choice.imu.is_none() && choice.lidar.is_none(),
-        "--imu-topic and --lidar-topic name topics of a bag, and {} is none",
+        "--imu-topic and --lidar-topic name topics of a bag, but {} is not a bag",
         choice.path.display()
     );
     Ok(())

@@ -77,8 +77,11 @@ pub(super) fn decode(
     let report = replay(source, &config, out, &|p| context.show(p))?;
     if report.streams.iter().all(|stream| stream.decoded == 0) {
         let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
-        let why = bad.unwrap_or("no packet of a LiDAR is in it");
-        bail!("{}: no scan was made of it: {why}", choice.path.display());
+        let why = bad.unwrap_or("it has no LiDAR packets");
+        bail!(
+            "{}: no scan could be assembled: {why}",
+            choice.path.display()
+        );
     }
     Ok(report)
 }
@@ -90,10 +93,10 @@ pub(super) fn about_packets(report: &CaptureReport, context: &Context) -> Vec<St
         context.lose_data();
         let bad = report.streams.iter().find_map(|s| s.first_bad.as_ref());
         let bad = bad.map_or(String::new(), |bad| {
-            format!("; the first of the latter: {bad}")
+            format!("; the first unreadable one: {bad}")
         });
         said.push(format!(
-            "{} packets are missing or cannot be read{bad}",
+            "{} packets are missing or unreadable{bad}",
             report.lost
         ));
         let endings = report.streams.iter().filter_map(|s| match &s.ending {
@@ -105,7 +108,7 @@ pub(super) fn about_packets(report: &CaptureReport, context: &Context) -> Vec<St
     if report.streams.len() > 1 {
         let names: Vec<&str> = report.streams.iter().map(|s| s.name.as_str()).collect();
         said.push(format!(
-            "there are packets of several LiDARs ({}): the scans of {MAIN_LIDAR} are used",
+            "packets of several LiDARs ({}): the scans of {MAIN_LIDAR} are used",
             names.join(", ")
         ));
     }

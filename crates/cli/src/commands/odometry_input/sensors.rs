@@ -59,7 +59,7 @@ impl Sensors {
             Ok(imu) => imu,
             // Nobody asked for it.
             Err(error) if choice.imu.is_none() => {
-                said.warnings.push(format!("no IMU is used: {error}"));
+                said.warnings.push(format!("the IMU is not used: {error}"));
                 return Ok(sensors);
             }
             Err(error) => return Err(error.into()),
@@ -73,11 +73,11 @@ impl Sensors {
             said.extrinsic = Some("/tf_static");
         } else {
             let why = format!(
-                "neither --rig nor /tf_static says where the LiDAR (frame {lidar_frame:?}) is on the IMU (frame {:?})",
+                "the pose of the LiDAR (frame {lidar_frame:?}) on the IMU (frame {:?}) is in neither --rig nor /tf_static",
                 imu.frame
             );
             anyhow::ensure!(choice.imu.is_none(), "{}: {why}", choice.path.display());
-            said.warnings.push(format!("no IMU is used: {why}"));
+            said.warnings.push(format!("the IMU is not used: {why}"));
             return Ok(sensors);
         }
         said.warnings.extend(about_unread(&imu.unread, context));

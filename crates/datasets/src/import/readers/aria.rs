@@ -69,7 +69,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
         let tags = vrs.streams.get(&found.id);
         let layout = layouts.entry((found.id, found.version)).or_insert_with(|| {
             Layout::of(
-                tags.ok_or("the file does not say what it is")?,
+                tags.ok_or("the file does not say what it contains")?,
                 found.version,
             )
         });
@@ -77,7 +77,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
             && layout.behind != "image/jpg"
         {
             let why = format!(
-                "images are read as JPEG, these are {}: convert the file with Aria's tools",
+                "only JPEG images are supported, but these are {}: convert the file with Aria's tools",
                 layout.behind
             );
             *left.entry((found.id, why)).or_default() += 1;
@@ -104,7 +104,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
 }
 
 fn no_place() -> String {
-    "has no place in a recording".to_owned()
+    "cannot be held by a recording".to_owned()
 }
 
 /// The topic of a stream, and what it is filled with.
@@ -269,7 +269,7 @@ fn magnetic_unit(streams: &BTreeMap<Id, StreamId>, into: &mut Collected) {
                 **field = field.map(|v| v * TESLA_PER_MICROTESLA);
             }
             into.notes
-                .push("mag: its numbers are those of microtesla".to_owned());
+                .push("mag: values look like microtesla and were converted to tesla".to_owned());
         }
     }
 }
@@ -307,7 +307,7 @@ fn notes(vrs: &Vrs, into: &mut Collected) {
         return;
     };
     into.notes.push(
-        "the glasses' own calibration is left out: its lenses (FisheyeRadTanThinPrism) are none that a rig has; calibrate them, or give --rig".to_owned(),
+        "the glasses' own calibration is left out because a rig has no such lens model (FisheyeRadTanThinPrism); calibrate them, or give --rig".to_owned(),
     );
     let Ok(calibration) = serde_json::from_str::<Calibration>(text) else {
         return;
@@ -318,7 +318,7 @@ fn notes(vrs: &Vrs, into: &mut Collected) {
             && (gyro_ms, accel_ms) != (0.0, 0.0)
         {
             into.notes.push(format!(
-                "{}: stamped when a sample was ready; by the glasses' own calibration it was measured {gyro_ms:.2} ms (gyroscope) and {accel_ms:.2} ms (accelerometer) earlier",
+                "{}: stamped when a sample was ready; according to the glasses' calibration it was measured {gyro_ms:.2} ms (gyroscope) and {accel_ms:.2} ms (accelerometer) earlier",
                 imu.label
             ));
         }

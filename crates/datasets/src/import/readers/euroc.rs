@@ -52,7 +52,7 @@ pub(super) fn read(
 ) -> Result<(), Error> {
     let root = euroc_folder(source).ok_or_else(|| Error::Recorded {
         path: source.to_owned(),
-        problem: "neither imu0/data.csv nor cam0/data.csv in it, nor in mav0/".to_owned(),
+        problem: "it has neither imu0/data.csv nor cam0/data.csv, also not in mav0/".to_owned(),
     })?;
     let mut sensors: Vec<PathBuf> = std::fs::read_dir(&root)
         .and_then(|entries| entries.map(|e| Ok(e?.path())).collect())
@@ -82,7 +82,7 @@ pub(super) fn read(
             into.leave_out(
                 format!("records of {name}"),
                 records,
-                "what others measured of the walk belongs beside it: `lsfb eval --truth` reads the file",
+                "ground truth stays in its file: `lsfb eval --truth` reads it",
             );
         }
     }
@@ -98,7 +98,7 @@ pub(super) fn read(
     }
     match rig.cameras.is_empty() {
         true => into.notes.push(
-            "no calibration in it (sensor.yaml): give one with --rig, or make one of camchain.yaml with `lsfb calib import`".to_owned(),
+            "it has no calibration (sensor.yaml): give one with --rig, or convert camchain.yaml with `lsfb calib import`".to_owned(),
         ),
         false => into.rig = Some(rig),
     }
@@ -171,7 +171,7 @@ fn add_camera(rig: &mut Rig, name: &str, sensor: &Sensor) -> Result<(), String> 
     let [width, height] = sensor.resolution.ok_or("no resolution")?;
     let [fx, fy, cx, cy] = sensor
         .intrinsics
-        .ok_or("no intrinsics of a pinhole: fu, fv, cu, cv")?;
+        .ok_or("it has no pinhole intrinsics: fu, fv, cu, cv")?;
     let (focal_px, principal_px) = ([fx, fy], [cx, cy]);
     let coefficients = sensor
         .distortion_coefficients
@@ -195,7 +195,7 @@ fn add_camera(rig: &mut Rig, name: &str, sensor: &Sensor) -> Result<(), String> 
         },
         _ => {
             return Err(format!(
-                "{camera_model} with {distortion_model} of {} coefficients is no lens that is known",
+                "{camera_model} with {distortion_model} of {} coefficients is not supported",
                 coefficients.len()
             ));
         }
@@ -250,7 +250,7 @@ pub(super) fn pose_of_rows(rows: &[f64]) -> Result<Se3, &'static str> {
     let rotation = Matrix3::new(a, b, c, d, e, f, g, h, i);
     let rotation = so3::from_rounded(&rotation, ROTATION_ROUNDING)
         .filter(|_| rows.len() == 16)
-        .ok_or("is no rigid transform")?;
+        .ok_or("is not a rigid transform")?;
     if ![x, y, z].iter().all(|v| v.is_finite()) {
         return Err("is not finite");
     }

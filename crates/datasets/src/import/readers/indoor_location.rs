@@ -57,7 +57,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
     walk.finish(into);
     if !table.text().lines().any(|l| l.starts_with("#\tendTime:")) {
         into.notes.push(format!(
-            "{}: no endTime: the app was ended early, or the file was cut",
+            "{}: no endTime: the app was stopped early, or the file was truncated",
             table.name()
         ));
     }
@@ -240,7 +240,7 @@ impl<'a> Walk<'a> {
             into.combine(gyro, accel);
         }
         for (what, records) in self.others {
-            into.leave_out(what, records, "has no place in a recording");
+            into.leave_out(what, records, "cannot be held by a recording");
         }
     }
 }
@@ -258,7 +258,7 @@ fn orientation(row: &Row<'_>) -> Result<(i64, Payload), String> {
     let [x, y, z]: [f64; 3] = row.numbers(2)?;
     let square = x * x + y * y + z * z;
     if square > LONGEST_ROTATION {
-        return Err(format!("a rotation vector of length {:.3}", square.sqrt()));
+        return Err(format!("a rotation vector with norm {:.3}", square.sqrt()));
     }
     let w = (1.0 - square).max(0.0).sqrt();
     Ok((

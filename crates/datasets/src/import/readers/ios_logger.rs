@@ -77,9 +77,9 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
     for (name, why) in [
         (
             "MotARH.txt",
-            "the device makes it of the gyroscope and the accelerometer",
+            "the device computes it from the gyroscope and the accelerometer",
         ),
-        ("Head.txt", "a heading has no place in a recording"),
+        ("Head.txt", "a recording cannot hold a heading"),
     ] {
         if let Some(path) = find(source, name) {
             let table = into.table(&path)?;
@@ -103,7 +103,7 @@ fn file(
     payload: impl Fn(&Row<'_>) -> Result<Payload, String>,
 ) -> Result<Option<StreamId>, Error> {
     let Some(path) = find(source, name) else {
-        into.notes.push(format!("no {name} in it"));
+        into.notes.push(format!("it has no {name}"));
         return Ok(None);
     };
     let table = into.table(&path)?;
@@ -120,7 +120,7 @@ pub(super) fn rotation([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, St
     let quaternion = Quaternion::new(w, x, y, z);
     match (0.99..1.01).contains(&quaternion.norm()) {
         true => Ok(UnitQuaternion::new_normalize(quaternion)),
-        false => Err(format!("a quaternion of length {:.3}", quaternion.norm())),
+        false => Err(format!("a quaternion with norm {:.3}", quaternion.norm())),
     }
 }
 
@@ -135,7 +135,7 @@ fn gnss(row: &Row<'_>) -> Result<GnssReading, String> {
     ] = row.numbers(1)?;
     if !(-90.0..=90.0).contains(&latitude_deg) || !(-180.0..=180.0).contains(&longitude_deg) {
         return Err(format!(
-            "latitude {latitude_deg}, longitude {longitude_deg} are nowhere"
+            "latitude {latitude_deg}, longitude {longitude_deg} do not exist"
         ));
     }
     let is_fix = horizontal_m >= 0.0 && vertical_m > 0.0;
@@ -165,16 +165,12 @@ fn frames(source: &Path, into: &mut Collected) -> Result<(), Error> {
         .find(|p| p.is_file());
     let Some(video) = video else {
         let records = table.rows(',').count() as u64;
-        into.leave_out(
-            "stamps of Frames.txt",
-            records,
-            "the video they belong to is not there",
-        );
+        into.leave_out("stamps of Frames.txt", records, "their video is missing");
         return Ok(());
     };
     into.videos.push(video);
     into.notes.push(
-        "cam0: the focal length that ARKit tells for each frame is left out: a recording has one lens per camera; calibrate it, or give --rig".to_owned(),
+        "cam0: ARKit's focal length of each frame is left out: a recording has one lens per camera; calibrate it, or give --rig".to_owned(),
     );
     let number_of_video = into.videos.len() - 1;
     let stream = into.stream("Frames.txt", "cam0/image", Kind::Image);

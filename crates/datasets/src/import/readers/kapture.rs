@@ -109,7 +109,7 @@ impl Reader<'_> {
         }
         let table = self.into.table(path)?;
         let Some(first) = table.rows(',').next().map(|row| row.text(0).to_owned()) else {
-            let empty = format!("{}: no record in it", table.name());
+            let empty = format!("{}: it has no records", table.name());
             self.into.notes.push(empty);
             return Ok(None);
         };
@@ -120,7 +120,7 @@ impl Reader<'_> {
         let unit = unit.ok_or_else(|| Error::Recorded {
             path: path.to_owned(),
             problem: format!(
-                "its first stamp `{first}` is a time of this century in no unit: say the unit with --stamp-unit"
+                "its first stamp `{first}` is not a time of this century in any unit: give the unit with --stamp-unit"
             ),
         })?;
         self.into
@@ -245,7 +245,7 @@ impl Reader<'_> {
             self.into.leave_out(
                 "names of Bluetooth devices",
                 named,
-                "have no place in a recording",
+                "cannot be held by a recording",
             );
         }
         Ok(())
@@ -277,7 +277,7 @@ impl Reader<'_> {
                 return Err(Error::Recorded {
                     path: path.to_owned(),
                     problem: format!(
-                        "{} of {read} poses of {device} have the stamp of another one: a list that stands there twice, or two sensors whose names differ by signs alone",
+                        "{} of {read} poses of {device} have the stamp of another one: a repeated list, or two sensors whose names differ only in punctuation",
                         read - trajectory.len()
                     ),
                 });
@@ -343,7 +343,7 @@ fn rig(
             (None, 1) => Se3::identity(),
             (None, _) => {
                 notes.push(format!(
-                    "{name}: nothing says where it is among the cameras: it is not in the rig"
+                    "{name}: its pose relative to the cameras is unknown: it is not in the rig"
                 ));
                 continue;
             }
@@ -381,7 +381,7 @@ fn scan_can_be(started: Timestamp, ended: Timestamp, read: Timestamp) -> Result<
     match is_near && (known.count() < 2 || started <= ended) {
         true => Ok(()),
         false => {
-            Err("a scan that did not end behind its beginning, or not near its readings".to_owned())
+            Err("a scan that does not end after its beginning, or not near its readings".to_owned())
         }
     }
 }

@@ -25,13 +25,13 @@ const READOUT_CELL: usize = 6;
 pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
     let path = find(source, "gyro_accel.csv").ok_or_else(|| Error::Recorded {
         path: source.to_owned(),
-        problem: "no gyro_accel.csv in it".to_owned(),
+        problem: "it has no gyro_accel.csv".to_owned(),
     })?;
     let table = into.table(&path)?;
     samples(&table, into)?;
     let Some(stamps) = find(source, "frame_timestamps.txt") else {
         into.notes
-            .push("no frame_timestamps.txt in it: no images".to_owned());
+            .push("it has no frame_timestamps.txt: no images".to_owned());
         return Ok(());
     };
     let exposures = match find(source, "movie_metadata.csv") {
@@ -48,7 +48,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
         into.leave_out(
             "stamps of frame_timestamps.txt",
             frames,
-            "the video movie.mp4 is not there",
+            "the video movie.mp4 is missing",
         );
         return Ok(());
     };
@@ -80,7 +80,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
     }
     if without > 0 {
         into.notes.push(format!(
-            "{without} frames have no exposure in movie_metadata.csv: they are stamped when their first row began to be exposed, not in the middle"
+            "{without} frames have no exposure in movie_metadata.csv: they are stamped at the start of the exposure of the first row, not in the middle"
         ));
     }
     Ok(())
@@ -116,7 +116,7 @@ fn samples(table: &Table, into: &mut Collected) -> Result<(), Error> {
         name => {
             return Err(Error::Recorded {
                 path: table.path.clone(),
-                problem: format!("column `{name}`: accelerations are read in m/s^2 and in g"),
+                problem: format!("column `{name}`: the unit of accelerations must be m/s^2 or g"),
             });
         }
     };
@@ -124,7 +124,7 @@ fn samples(table: &Table, into: &mut Collected) -> Result<(), Error> {
         return Err(Error::Recorded {
             path: table.path.clone(),
             problem: format!(
-                "column `{}`: angular velocities are read in rad/s",
+                "column `{}`: the unit of angular rates must be rad/s",
                 named(1)
             ),
         });

@@ -67,7 +67,7 @@ fn image_file(folder: &Path, name: &str, number: usize) -> Result<Payload, Strin
     let below = Path::new(name);
     let is_below = |c| matches!(c, std::path::Component::Normal(_));
     if name.is_empty() || !below.components().all(is_below) {
-        return Err(format!("`{name}` is no file below {}", folder.display()));
+        return Err(format!("`{name}` is not a file in {}", folder.display()));
     }
     Ok(Payload::Image(Box::new(ImageRecord {
         pixels: Pixels::File(folder.join(below)),

@@ -37,7 +37,7 @@ pub(super) fn read(
 ) -> Result<(), Error> {
     let path = find(source, "data.jsonl").ok_or_else(|| Error::Recorded {
         path: source.to_owned(),
-        problem: "no data.jsonl in it".to_owned(),
+        problem: "it has no data.jsonl".to_owned(),
     })?;
     let table = into.table(&path)?;
     let sensors = SENSORS.map(|(what, topic, kind, _)| into.stream(what, topic, kind));
@@ -53,7 +53,7 @@ pub(super) fn read(
             Ok(event) => event,
             Err(error) => {
                 // Which kind it was is not known: it counts with the first.
-                into.take(sensors[0], place, Err(format!("no JSON: {error}")));
+                into.take(sensors[0], place, Err(format!("not JSON: {error}")));
                 continue;
             }
         };
@@ -103,14 +103,14 @@ pub(super) fn read(
             into.leave_out(
                 format!("frames of camera {camera}"),
                 count,
-                "their video is not there",
+                "their video is missing",
             );
         }
     }
     for (name, records) in others {
         let why = match name.as_str() {
-            "groundTruth" => "what others measured of the walk belongs beside it",
-            _ => "has no place in a recording",
+            "groundTruth" => "ground truth stays in its file",
+            _ => "cannot be held by a recording",
         };
         into.leave_out(format!("events `{name}`"), records, why);
     }
@@ -143,9 +143,7 @@ fn stamp(event: &Value) -> Result<i64, String> {
     let time = event.get("time").and_then(Value::as_f64).ok_or("no time")?;
     match POSSIBLE_S.contains(&time) {
         true => Ok((time * 1e9).round() as i64),
-        false => Err(format!(
-            "time {time} s: times from 0 to 2147483648 s are read"
-        )),
+        false => Err(format!("time {time} s: expected 0 to 2147483648 s")),
     }
 }
 
@@ -215,7 +213,7 @@ fn calibrate(path: &Path, device: &str, into: &mut Collected) -> Result<(), Erro
 
 fn camera(found: &Calibrated) -> Result<RigCamera, String> {
     let (Some(width), Some(height)) = (found.image_width, found.image_height) else {
-        return Err("it says no size of the images".to_owned());
+        return Err("it does not give the image size".to_owned());
     };
     let focal_px = [found.focal_length_x, found.focal_length_y];
     let principal_px = [found.principal_point_x, found.principal_point_y];
@@ -241,7 +239,7 @@ fn camera(found: &Calibrated) -> Result<RigCamera, String> {
         },
         (model, coefficients) => {
             return Err(format!(
-                "{model} of {} coefficients is no lens that is known",
+                "{model} of {} coefficients is not supported",
                 coefficients.len()
             ));
         }

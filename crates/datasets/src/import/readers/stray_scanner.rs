@@ -37,7 +37,7 @@ pub(super) fn read(
     }
     let path = find(source, "odometry.csv").ok_or_else(|| Error::Recorded {
         path: source.to_owned(),
-        problem: "no odometry.csv in it".to_owned(),
+        problem: "it has no odometry.csv".to_owned(),
     })?;
     let table = into.table(&path)?;
     let video = source.join("rgb.mp4");
@@ -46,13 +46,13 @@ pub(super) fn read(
         into.row(poses, &table, &row, pose(&row));
     }
     into.notes
-        .push("pose: in the axes of the app, as it wrote them".to_owned());
+        .push("pose: in the app's axes, unchanged".to_owned());
     if !video.is_file() {
         let frames = data_rows(&table).count() as u64;
         into.leave_out(
             "frames of odometry.csv",
             frames,
-            "their video rgb.mp4 is not there",
+            "their video rgb.mp4 is missing",
         );
         return Ok(());
     }
@@ -99,7 +99,7 @@ fn samples(table: &Table, into: &mut Collected) {
         Ok(1.0)
     } else {
         Err(format!(
-            "the median acceleration is {usual:.3}, neither 1 g nor 9.81 m/s²: gravity is not in it"
+            "the median acceleration is {usual:.3}, neither 1 g nor 9.81 m/s²: gravity was removed"
         ))
     };
     for row in data_rows(table) {
@@ -122,7 +122,7 @@ fn calibrate(matrix: &Path, video: &Path, device: &str, into: &mut Collected) ->
     let [[fx, _, cx], [_, fy, cy], _] = rows.as_deref().unwrap_or_default() else {
         return Err(Error::Recorded {
             path: matrix.to_owned(),
-            problem: "no matrix of three lines of three numbers".to_owned(),
+            problem: "not a matrix of three lines of three numbers".to_owned(),
         });
     };
     // What is wrong with the video is told of its frames.
@@ -139,7 +139,8 @@ fn calibrate(matrix: &Path, video: &Path, device: &str, into: &mut Collected) ->
     rig.cameras.insert("cam0".to_owned(), camera);
     into.rig = Some(rig);
     into.notes.push(
-        "rig: one lens without distortion, from camera_matrix.csv; nothing says where the IMU is on it".to_owned(),
+        "rig: one lens without distortion, from camera_matrix.csv; its pose on the IMU is unknown"
+            .to_owned(),
     );
     Ok(())
 }

@@ -54,7 +54,7 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
             }
             (FRAME, None) => frames += 1,
             (CAMERA, _) => into.notes.push(
-                "what Android says of the lens is left out, as it seldom holds: calibrate it, or give --rig".to_owned(),
+                "Android's lens calibration is left out because it is rarely right: calibrate it, or give --rig".to_owned(),
             ),
             _ => {}
         }
@@ -64,14 +64,12 @@ pub(super) fn read(source: &Path, into: &mut Collected) -> Result<(), Error> {
         None => into.leave_out(
             "frames of video_meta.pb3",
             frames,
-            "video_recording.mp4 is not there",
+            "video_recording.mp4 is missing",
         ),
     }
     if samples > 0 {
-        into.notes.push(
-            "imu: as the sensors gave it; the biases that Android takes off are left out"
-                .to_owned(),
-        );
+        into.notes
+            .push("imu: raw sensor values; Android's bias corrections are left out".to_owned());
     }
     Ok(())
 }
@@ -133,8 +131,7 @@ fn image(message: &[u8], video: usize, number: u64) -> Result<(i64, Payload), St
 fn each(message: &[u8], mut take: impl FnMut(u64, Value<'_>)) -> Result<(), String> {
     let mut rest = message;
     while !rest.is_empty() {
-        let (number, value, behind) =
-            field(rest).map_err(|_| "a message that is cut".to_owned())?;
+        let (number, value, behind) = field(rest).map_err(|_| "a truncated message".to_owned())?;
         take(number, value);
         rest = behind;
     }

@@ -46,7 +46,7 @@ impl Layout {
         let format = tag(format!("RF:Data:{version}"))?;
         let (first, behind) = format.split_once('+').unwrap_or((format, ""));
         if first.split('/').next() != Some("data_layout") {
-            return Err(format!("records of the form {format} are not read"));
+            return Err(format!("records of the form {format} are not supported"));
         }
         let layout = tag(format!("DL:Data:{version}:0"))?;
         let layout: Described = serde_json::from_str(layout).map_err(|e| e.to_string())?;
@@ -55,10 +55,10 @@ impl Layout {
             match (piece.offset, piece.index) {
                 (Some(offset), _) => {
                     let end = piece.bytes()?.checked_add(offset);
-                    fixed = fixed.max(end.ok_or("a value far behind its record")?);
+                    fixed = fixed.max(end.ok_or("a value far outside its record")?);
                 }
                 (None, Some(index)) => parts = parts.max(index.saturating_add(1)),
-                (None, None) => return Err(format!("nothing says where {} is", piece.name)),
+                (None, None) => return Err(format!("the position of {} is unknown", piece.name)),
             }
         }
         let pieces = layout.data_layout.into_iter();
@@ -105,7 +105,12 @@ impl Piece {
             "Point2Dd" | "Point4Df" => 16,
             "Point3Dd" => 24,
             "Point4Dd" => 32,
-            other => return Err(format!("{} is of the type {other}, not read", self.name)),
+            other => {
+                return Err(format!(
+                    "{} is of the type {other}, which is not supported",
+                    self.name
+                ));
+            }
         };
         Ok(self.size.unwrap_or(1).saturating_mul(size))
     }
@@ -120,7 +125,7 @@ impl<'a> Values<'a> {
             .unwrap_or_default();
         let mut entry = Bytes(entry);
         let found = entry.u32().zip(entry.u32());
-        let (offset, length) = found.ok_or("a record that is cut")?;
+        let (offset, length) = found.ok_or("a truncated record")?;
         let begin = self.layout.fixed + 8 * self.layout.parts + offset as usize;
         Ok((begin, begin + length as usize))
     }
@@ -128,12 +133,12 @@ impl<'a> Values<'a> {
     fn fixed(&self, name: &str, of: &str) -> Result<&'a [u8], String> {
         let piece = self.layout.pieces.get(name);
         let piece = piece.filter(|p| p.of == of);
-        let piece = piece.ok_or_else(|| format!("no {name} of {of} in it"))?;
+        let piece = piece.ok_or_else(|| format!("it has no {name} of {of}"))?;
         let begin = piece.offset.unwrap_or(usize::MAX);
         let end = begin.saturating_add(piece.bytes()?);
         self.record
             .get(begin..end)
-            .ok_or_else(|| format!("cut before {name}"))
+            .ok_or_else(|| format!("truncated before {name}"))
     }
 
     /// A whole number of 64 bits.
@@ -186,9 +191,9 @@ impl<'a> Values<'a> {
         let piece = self.layout.pieces.get(name);
         let index = piece.filter(|p| p.of == "DataPieceString");
         let index = index.and_then(|p| p.index);
-        let (begin, end) = self.part(index.ok_or_else(|| format!("no {name} in it"))?)?;
+        let (begin, end) = self.part(index.ok_or_else(|| format!("it has no {name}"))?)?;
         let text = self.record.get(begin..end);
-        let text = text.ok_or_else(|| format!("cut within {name}"))?;
+        let text = text.ok_or_else(|| format!("truncated within {name}"))?;
         Ok(String::from_utf8_lossy(text).into_owned())
     }
 

@@ -61,12 +61,16 @@ impl RecordSpan {
                 .and_then(|d| d.take(limit).read_to_end(&mut unpacked)),
             2 => zstd::stream::read::Decoder::new(packed.as_slice())
                 .and_then(|d| d.take(limit).read_to_end(&mut unpacked)),
-            other => return Err(format!("packed in way {other}: lz4 and zstd are read")),
+            other => {
+                return Err(format!(
+                    "compression {other} is not supported: use lz4 or zstd"
+                ));
+            }
         };
         match read {
             Ok(_) if unpacked.len() as u64 == self.unpacked => Ok(unpacked),
-            Ok(_) => Err(format!("it does not unpack to {} bytes", self.unpacked)),
-            Err(why) => Err(format!("it does not unpack: {why}")),
+            Ok(_) => Err(format!("it does not decompress to {} bytes", self.unpacked)),
+            Err(why) => Err(format!("it cannot be decompressed: {why}")),
         }
     }
 }
@@ -108,19 +112,19 @@ impl Vrs {
         let length = file.metadata().map_err(|e| e.to_string())?.len();
         let mut head = [0; FILE_HEAD];
         file.read_exact(&mut head)
-            .map_err(|_| "cut within its head".to_owned())?;
+            .map_err(|_| "truncated within its header".to_owned())?;
         let mut head = Bytes(&head);
         if head.take(MAGIC.len()) != Some(MAGIC) {
-            return Err("no VRS file".to_owned());
+            return Err("not a VRS file".to_owned());
         }
-        let cut = || "cut within its head".to_owned();
+        let cut = || "truncated within its header".to_owned();
         head.take(8);
         let own_head = u64::from(head.u32().ok_or_else(cut)?);
         let record_head = u64::from(head.u32().ok_or_else(cut)?);
         let [_, description, first] = [(); 3].map(|()| head.u64().unwrap_or_default());
         if record_head != RECORD_HEAD {
             return Err(format!(
-                "records have a head of {record_head} bytes, {RECORD_HEAD} are read"
+                "records with a header of {record_head} bytes are not supported, only {RECORD_HEAD}"
             ));
         }
         let next = if first == 0 { own_head } else { first };
@@ -134,13 +138,13 @@ impl Vrs {
         let (found, size) = vrs.head(description)?;
         if found.version != DESCRIPTION {
             return Err(format!(
-                "its description has version {}, {DESCRIPTION} is read",
+                "description version {} is not supported, only {DESCRIPTION}",
                 found.version
             ));
         }
         if next >= length {
             return Err(format!(
-                "cut at byte {length}: its records begin at byte {next}"
+                "truncated at byte {length}: its records begin at byte {next}"
             ));
         }
         let mut text = vec![0; usize::try_from(size - RECORD_HEAD).map_err(|e| e.to_string())?];

@@ -41,10 +41,10 @@ const MOST_PAIRS: usize = 500;
 type Change<'a> = dyn Fn(UnitQuaternion<f64>) -> UnitQuaternion<f64> + 'a;
 
 /// What helps where the orientations mean nothing.
-const REMEDY: &str = "correct the file, or evaluate its positions alone: rotation errors, recall and relative errors mean nothing";
+const REMEDY: &str = "correct the file, or evaluate only its positions: rotation errors, recall and relative errors are meaningless";
 
 /// What helps where a constant turn is all that is wrong.
-const TURNED: &str = "express both in one body and one world (`lsfb align` finds the transforms); rotation errors and recall are of this turn";
+const TURNED: &str = "express both in one body frame and one world (`lsfb align` estimates the transforms); rotation errors and recall are dominated by this rotation";
 
 /// What the orientations say, of pairs as they were read and as their positions are aligned; `rotation_deg` is the error of the latter, rms.
 pub(super) fn orientations(
@@ -63,20 +63,18 @@ pub(super) fn orientations(
     let raw = |q: UnitQuaternion<f64>| q.into_inner();
     let of = |w, x, y, z| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
     let conventions: [(&str, &Change<'_>); 3] = [
-        ("have w first where x, y, z, w was read", &|q| {
+        ("have w first, but were read as x, y, z, w", &|q| {
             let q = raw(q);
             of(q.i, q.j, q.k, q.w)
         }),
-        ("have w last where w, x, y, z was read", &|q| {
+        ("have w last, but were read as w, x, y, z", &|q| {
             let q = raw(q);
             of(q.k, q.w, q.i, q.j)
         }),
-        ("are those of the inverse, of the world in the body", &|q| {
-            q.inverse()
-        }),
+        ("are inverted (world in the body frame)", &|q| q.inverse()),
     ];
     let named = |convention: &str| {
-        format!("the estimate's quaternions {convention}: no rotation of it is right")
+        format!("the estimate's quaternions {convention}: all its rotations are wrong")
     };
     // Turned about one axis alone, quaternions in another order turn about one axis as well: that they would be right tells it.
     let world_turn = first_world_turn(unaligned, aligned)?;
@@ -101,10 +99,10 @@ pub(super) fn orientations(
     let what = match best {
         (explained, convention) if explained >= NAMED => named(convention),
         _ if turns.explained_by_mirror() >= NAMED => {
-            "the estimate turns as in a mirror: its axes are left-handed".to_owned()
+            "the estimate's rotation is mirrored: its axes are left-handed".to_owned()
         }
         _ => format!(
-            "the estimate's orientations do not follow those of the truth: its turns explain {:.0} % of the truth's",
+            "the estimate's orientations do not follow the truth: they explain {:.0} % of its rotation",
             100.0 * as_is.max(0.0)
         ),
     };
@@ -143,11 +141,11 @@ pub(super) fn mirrored(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let mirrored_m = error_m(&mirror, AlignmentMode::Sim3)?;
     (mirrored_m < LESS * best_m).then(|| {
         let what = format!(
-            "the estimate is a mirror image: its error is {best_m:.3} m rms, and {mirrored_m:.3} m with one axis turned around"
+            "the estimate is a mirror image: its error is {best_m:.3} m rms, but {mirrored_m:.3} m with one axis reversed"
         );
         Finding::new("mirrored", Verdict::Fail, "positions", what)
             .value(mirrored_m, "m")
-            .remedy("two axes are exchanged, or the world is left-handed: correct the file")
+            .remedy("two axes are swapped, or the world is left-handed: correct the file")
     })
 }
 
@@ -164,7 +162,7 @@ pub(super) fn inverse(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let inverse_m = error_m(&turned, AlignmentMode::Sim3)?;
     (inverse_m < LESS * best_m).then(|| {
         let what = format!(
-            "the estimate's poses are those of the world in the body: its error is {best_m:.3} m rms, and {inverse_m:.3} m with each of them inverted"
+            "the estimate's poses are inverted (world in the body frame): its error is {best_m:.3} m rms, but {inverse_m:.3} m with every pose inverted"
         );
         Finding::new("inverse", Verdict::Fail, "poses", what)
             .value(inverse_m, "m")
@@ -215,12 +213,12 @@ pub(super) fn clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     (left_m < LESS * best_m && offset_secs.abs() > LEAST_OFFSET_SECS).then(|| {
         let side = if offset_secs > 0.0 { "late" } else { "early" };
         let what = format!(
-            "the estimate's stamps seem {:.3} s {side}: with others its error would be {left_m:.4} m rms and not {best_m:.4} m",
+            "the estimate's stamps seem {:.3} s {side}: with corrected stamps its error would be {left_m:.4} m rms instead of {best_m:.4} m",
             offset_secs.abs()
         );
         Finding::new("clock", Verdict::Warn, "stamps", what)
             .value(offset_secs, "s")
-            .remedy("check which moment of an exposure or a scan is stamped; `lsfb align` finds the offset with its standard deviation")
+            .remedy("check which moment of an exposure or a scan is stamped; `lsfb align` estimates the offset with its standard deviation")
     })
 }
 
@@ -350,7 +348,7 @@ fn world_turn_deg(aligned: &[PosePair]) -> Option<(f64, f64)> {
 
 fn other_body((left_deg, turn_deg): (f64, f64)) -> String {
     format!(
-        "the estimate's body has other axes than the truth's, turned by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are of this turn"
+        "the estimate's body axes differ from the truth's by a constant rotation of {turn_deg:.1}°, to within {left_deg:.2}° rms: rotation errors are dominated by it"
     )
 }
 
@@ -376,7 +374,7 @@ pub(super) fn copied_orientations(aligned: &[PosePair]) -> Option<Finding> {
     Turns::of(aligned)?;
     let (left_deg, _) = world_turn_deg(aligned)?;
     (left_deg < COPIED_RAD.to_degrees()).then(|| {
-        let what = "the orientations of the estimate are the ground truth's own".to_owned();
+        let what = "the orientations of the estimate are identical to the ground truth".to_owned();
         Finding::new("same-orientations", Verdict::Warn, "orientations", what)
             .value(left_deg, "°")
             .remedy("check which file was evaluated, and that the system cannot read the truth")
@@ -392,10 +390,10 @@ fn constant_turn(aligned: &[PosePair], rotation_deg: f64) -> Option<String> {
     if world.0 < LESS * rotation_deg {
         let (left_deg, turn_deg) = world;
         return Some(format!(
-            "the estimate's orientations are of another world than its positions, turned by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are of this turn"
+            "the estimate's orientations have another world frame than its positions, rotated by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are dominated by it"
         ));
     }
-    Some("the estimate turns as the truth does, but its orientations are of another body and another world than its positions".to_owned())
+    Some("the estimate rotates like the truth, but its orientations have another body frame and another world than its positions".to_owned())
 }
 
 #[cfg(test)]

@@ -38,12 +38,12 @@ fn other_conventions_are_named() {
     let w_last = turned(|q| Quaternion::new(q.i, q.j, q.k, q.w));
     only(w_last, Verdict::Fail, "w last");
     let inverse = turned(|q| q.conjugate());
-    only(inverse, Verdict::Fail, "inverse");
+    only(inverse, Verdict::Fail, "inverted");
     // The curl turns about one axis nearly, as a robot on wheels does.
     let none = turned(|_| Quaternion::identity());
     only(none, Verdict::Fail, "do not follow");
     let body = turned(|q| q * Quaternion::new(0.5, 0.5, 0.5, 0.5));
-    only(body, Verdict::Warn, "turned by 120.0°");
+    only(body, Verdict::Warn, "constant rotation of 120.0°");
     let world = turned(|q| Quaternion::new(0.0, 0.0, 0.0, 1.0) * q);
     only(world, Verdict::Warn, "another world");
     let left_handed = changed(&noisy, |_, p| {

@@ -27,7 +27,7 @@ pub(super) fn judge(
     findings.push(given(found));
     findings.push(gravity(found));
     let what = format!(
-        "the markers' body shakes by {:.2} mm and {:.3}° per axis, standard deviations raised {:.1} times as its errors hang together",
+        "the markers' body shakes by {:.2} mm and {:.3}° per axis; standard deviations were increased by a factor of {:.1} because its errors are correlated",
         1000.0 * noise.sigmas[1],
         noise.sigmas[0].to_degrees(),
         noise.factor
@@ -40,7 +40,7 @@ pub(super) fn judge(
             "halves",
             Verdict::Unknown,
             "halves",
-            "a half of the time alone does not tell where the IMU sits: nothing checks the standard deviations",
+            "one half of the time alone does not determine the pose of the IMU, so that the standard deviations are not checked",
         ),
     });
     findings
@@ -60,7 +60,7 @@ fn observability(found: &MocapAlignment) -> Vec<Finding> {
             1e3 * MOST_SIGMA[1],
         ),
         (
-            "offset of the clocks",
+            "clock offset",
             1e3 * found.sigma_offset_secs,
             "ms",
             1e3 * MOST_SIGMA[2],
@@ -70,11 +70,11 @@ fn observability(found: &MocapAlignment) -> Vec<Finding> {
         .into_iter()
         .map(|(subject, sigma, unit, most)| {
             let verdict = Verdict::Fail.unless(sigma <= most);
-            let what = format!("known to {sigma:.3} {unit} (1 σ)");
+            let what = format!("standard deviation {sigma:.3} {unit}");
             Finding::new("observability", verdict, subject, what)
                 .value(sigma, unit)
                 .limit(Limit::AtMost(most))
-                .remedy("turn the device quickly about two axes, and longer")
+                .remedy("rotate the device quickly about two axes, for longer")
         })
         .collect()
 }
@@ -94,13 +94,13 @@ fn outliers(found: &MocapAlignment) -> Finding {
 fn given(found: &MocapAlignment) -> Finding {
     let verdict = Verdict::Warn.unless(found.given >= LEAST_GIVEN);
     let what = format!(
-        "the path is certain in {:.1} % of the time",
+        "the path is reliable in {:.1} % of the time",
         100.0 * found.given
     );
     Finding::new("given", verdict, "path", what)
         .value(100.0 * found.given, "%")
         .limit(Limit::AtLeast(100.0 * LEAST_GIVEN))
-        .remedy("keep more markers in sight")
+        .remedy("keep more markers in view")
 }
 
 fn gravity(found: &MocapAlignment) -> Finding {
@@ -134,5 +134,5 @@ fn agreement(halves: &[Smoothed; 2], factor: f64) -> Finding {
     Finding::new("halves", verdict, "halves", what)
         .value(sigmas, "σ")
         .limit(Limit::AtMost(MOST_APART))
-        .remedy("the markers moved on the device, or the IMU's noise is larger than stated; do not trust the standard deviations")
+        .remedy("the markers moved on the device, or the IMU's noise is larger than specified; do not trust the standard deviations")
 }

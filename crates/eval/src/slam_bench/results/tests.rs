@@ -65,9 +65,9 @@ fn every_end_has_its_cause() {
         "mute: never initialised",
         "crash: crashed (exit status: 7)",
         "lost: lost (20 % covered)",
-        "rubbish: not judged",
+        "rubbish: not evaluated",
         "empty: never initialised",
-        "elsewhen: not judged: no pose of the estimate is within",
+        "elsewhen: not evaluated: no pose of the estimate is within",
     ]) {
         assert!(cause.starts_with(begins), "{cause}");
     }
@@ -245,7 +245,7 @@ fn what_is_odd_stands_below_the_table() {
     let results = run_plan(&plan, &out, CONFIG, &no_progress).expect("run");
     let remark = results[0].remark.clone().unwrap_or_default();
     assert!(results[0].se3_m.is_some(), "{results:?}");
-    assert!(remark.contains("exactly where another is"), "{remark}");
+    assert!(remark.contains("exactly equal to another"), "{remark}");
 }
 
 /// Of a system that crashed in two of three runs the table had the third one's error, and no word of the others.
@@ -286,10 +286,10 @@ fn plans_that_mean_nothing_are_refused() {
             format!("runs = 0\n{sequence}{good}"),
             "runs must be 1 to 99",
         ),
-        (format!("{sequence}{sequence}{good}"), "'M0' is there twice"),
+        (format!("{sequence}{sequence}{good}"), "'M0' occurs twice"),
         (
             format!("{sequence}{}", good.replace("'good'", "'../x'")),
-            "'../x' is no name",
+            "'../x' is not a valid name",
         ),
         (
             format!("{}{good}", sequence.replace("15", "-1")),
@@ -309,7 +309,7 @@ fn plans_that_mean_nothing_are_refused() {
     let why = run_plan(&plan, &out, CONFIG, &no_progress)
         .expect_err("placeholder")
         .to_string();
-    assert!(why.contains("{inputs} is no placeholder"), "{why}");
+    assert!(why.contains("{inputs} is not a placeholder"), "{why}");
     plan.systems[0].layout = Layout::Euroc;
     let why = run_plan(&plan, &out, CONFIG, &no_progress)
         .expect_err("a folder")

@@ -38,7 +38,7 @@ impl MarkReport {
             .limit(Limit::AtLeast(100.0 * LEAST_FOUND));
         match self.missing.is_empty() {
             true => finding,
-            false => finding.remedy("the errors are without these marks: rest on each for two seconds, and list those that were visited (visit A B …)"),
+            false => finding.remedy("these marks are not in the errors: rest on each for two seconds, and list those that were visited (visit A B …)"),
         }
     }
 
@@ -46,7 +46,7 @@ impl MarkReport {
         let found = self.marks.len();
         (found < LEAST_MARKS).then(|| {
             let what = format!(
-                "only {found} marks: six of their {} numbers went into the alignment, and what is left says little of the trajectory",
+                "only {found} marks: six of their {} numbers went into the alignment, and the rest says little about the trajectory",
                 3 * found
             );
             // Three have nothing left but chance, four hardly more.
@@ -68,16 +68,16 @@ impl MarkReport {
             .max_by(|a, b| a.distance_m.total_cmp(&b.distance_m))?;
         let others = match self.far.len() {
             1 => String::new(),
-            n => format!("; {n} marks are so"),
+            n => format!("; {n} marks are affected"),
         };
         let what = format!(
-            "the trajectory rests {:.2} m beside mark {} ({:.1} s), which is in no error above{others}",
+            "the trajectory rests {:.2} m from mark {} ({:.1} s), which is not in the errors{others}",
             worst.distance_m, worst.mark, worst.start_secs
         );
         Some(
             Finding::new("far-marks", Verdict::Fail, "trajectory", what)
                 .value(worst.distance_m, "m")
-                .remedy("the trajectory is bent there: count it (a larger --reach-m); where the device rested beside the mark and not on it, list the marks that were visited (visit A B …)"),
+                .remedy("the trajectory is bent there: include it (a larger --reach-m); if the device rested beside the mark, list the marks that were visited (visit A B …)"),
         )
     }
 }

@@ -214,7 +214,10 @@ fn tapes_alone_make_a_network() {
     let refused = solve_survey(&survey(few))
         .expect_err("two places")
         .to_string();
-    assert!(refused.contains("mark e fits at two places"), "{refused}");
+    assert!(
+        refused.contains("mark e fits at two positions"),
+        "{refused}"
+    );
 }
 
 /// Two blunders of thirty-eight: both named, one after the other.

@@ -9,7 +9,7 @@ const FILE_HEADER: usize = 14;
 
 /// Decodes a bitmap as grey.
 pub(super) fn decode(bytes: &[u8]) -> Result<Image, String> {
-    let short = || "a BMP that is cut short".to_owned();
+    let short = || "a truncated BMP".to_owned();
     let u32_at = |at: usize| -> Result<u32, String> {
         let four = bytes.get(at..at + 4).and_then(|b| b.try_into().ok());
         four.map(u32::from_le_bytes).ok_or_else(short)
@@ -25,7 +25,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Image, String> {
     }
     // 3: masks say where the colors are; where they usually are is all that is read.
     if !(compression == 0 || compression == 3 && bits == 32) {
-        return Err("a BMP that is compressed".to_owned());
+        return Err("a compressed BMP".to_owned());
     }
     let pixel_bytes = match bits {
         8 => 1,
@@ -33,7 +33,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Image, String> {
         32 => 4,
         other => {
             return Err(format!(
-                "a BMP of {other} bits a pixel: 8, 24 and 32 are read"
+                "a BMP of {other} bits per pixel: 8, 24 and 32 are supported"
             ));
         }
     };

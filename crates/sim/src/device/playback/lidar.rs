@@ -98,7 +98,7 @@ impl LidarPlayer {
             if began.is_none() {
                 return Err(Error::Source {
                     path: play.path.clone(),
-                    problem: "no packet of a LiDAR in it".to_owned(),
+                    problem: "it has no LiDAR packets".to_owned(),
                 });
             }
             base_ns = due_ns + PAUSE_NS;

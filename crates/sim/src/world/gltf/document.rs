@@ -194,7 +194,7 @@ impl Document {
         let view = self
             .buffer_views
             .get(index)
-            .ok_or("a view that is not there")?;
+            .ok_or("a missing buffer view")?;
         let end = view.byte_offset.checked_add(view.byte_length);
         end.and_then(|end| data.get(view.byte_offset..end))
             .ok_or_else(|| "a view beyond the end of the data".to_owned())
@@ -206,10 +206,7 @@ impl Document {
         index: usize,
         data: &[u8],
     ) -> Result<Vec<[f64; N]>, String> {
-        let accessor = self
-            .accessors
-            .get(index)
-            .ok_or("an accessor that is not there")?;
+        let accessor = self.accessors.get(index).ok_or("a missing accessor")?;
         let view_index = accessor.buffer_view.ok_or("an accessor without a view")?;
         let bytes = self.view(view_index, data)?;
         let size = match accessor.component_type {

@@ -99,7 +99,7 @@ pub(super) fn read(path: &Path, values: Values) -> Result<Scene, Error> {
 /// Reads the bytes of a file; what is wrong with them otherwise.
 fn parse(bytes: &[u8], values: Values) -> Result<Scene, String> {
     if bytes.get(..4) != Some(b"glTF") {
-        return Err("this is no binary glTF file (.glb)".to_owned());
+        return Err("not a binary glTF file (.glb)".to_owned());
     }
     let (json, rest) = chunk(bytes.get(HEADER..).unwrap_or_default())?;
     let (data, _) = chunk(rest).unwrap_or_default();
@@ -116,12 +116,12 @@ fn parse(bytes: &[u8], values: Values) -> Result<Scene, String> {
     for picture in &document.images {
         let view = picture
             .buffer_view
-            .ok_or("a picture lies outside the file")?;
+            .ok_or("an image lies outside the file")?;
         let picture = decode(document.view(view, data)?, values)?;
         pixels += picture.values.len();
         if pixels > MOST_PIXELS_ALTOGETHER {
             return Err(format!(
-                "its pictures have more than {MOST_PIXELS_ALTOGETHER} pixels"
+                "its images have more than {MOST_PIXELS_ALTOGETHER} pixels"
             ));
         }
         pictures.push(picture);
@@ -206,12 +206,9 @@ struct Reading<'a> {
 impl Reading<'_> {
     fn node(&mut self, index: usize, parent: &Matrix4<f32>, level: usize) -> Result<(), String> {
         let document = self.document;
-        let node = document
-            .nodes
-            .get(index)
-            .ok_or("a node that is not there")?;
+        let node = document.nodes.get(index).ok_or("a missing node")?;
         if level > MOST_LEVELS {
-            return Err("its nodes go round in circles".to_owned());
+            return Err("its nodes form a cycle".to_owned());
         }
         self.nodes += 1;
         if self.nodes > MOST_NODES {
@@ -232,16 +229,10 @@ impl Reading<'_> {
         let world = parent * own;
         if let Some(at) = &node.extensions.lamp {
             let lamps = &document.extensions.lights.lights;
-            self.lamp(
-                lamps.get(at.light).ok_or("a lamp that is not there")?,
-                &world,
-            )?;
+            self.lamp(lamps.get(at.light).ok_or("a missing light")?, &world)?;
         }
         if let Some(mesh) = node.mesh {
-            let mesh = document
-                .meshes
-                .get(mesh)
-                .ok_or("a mesh that is not there")?;
+            let mesh = document.meshes.get(mesh).ok_or("a missing mesh")?;
             for primitive in mesh.primitives.iter().filter(|p| p.mode == triangles()) {
                 self.primitive(primitive, &world)?;
             }
@@ -291,7 +282,7 @@ impl Reading<'_> {
 
     fn lamp(&mut self, lamp: &Lamp, world: &Matrix4<f32>) -> Result<(), String> {
         if self.lamps.len() >= MOST_LAMPS {
-            return Err(format!("it has more than {MOST_LAMPS} lamps"));
+            return Err(format!("it has more than {MOST_LAMPS} lights"));
         }
         let strength =
             Values::Light.grey(lamp.color.unwrap_or([1.0; 3])) * lamp.intensity.unwrap_or(1.0);
@@ -304,7 +295,7 @@ impl Reading<'_> {
         let is_placed =
             position.iter().all(|v| v.abs() < FARTHEST_M) && length > 1e-12 && length.is_finite();
         if !is_placed {
-            return Err("a lamp has no place and direction".to_owned());
+            return Err("a light has no position and direction".to_owned());
         }
         let direction = upright(along / length);
         let [inner, outer] = [lamp.spot.inner_cone_angle, lamp.spot.outer_cone_angle];
@@ -332,7 +323,7 @@ impl Reading<'_> {
                 intensity_cd: strength * AFAR_M * AFAR_M,
                 ..everywhere
             }),
-            other => return Err(format!("a lamp of the type {other:?}")),
+            other => return Err(format!("a light of the type {other:?}")),
         }
         Ok(())
     }
@@ -370,7 +361,7 @@ impl Reading<'_> {
                 finish,
             };
             for (k, &index) in corner.iter().enumerate() {
-                let p = positions.get(index).ok_or("a corner that is not there")?;
+                let p = positions.get(index).ok_or("a missing vertex")?;
                 let at = world * Vector4::new(p[0] as f32, p[1] as f32, p[2] as f32, 1.0);
                 // glTF has y up and looks along z.
                 triangle.corners_m[k] = [at.x, -at.z, at.y];

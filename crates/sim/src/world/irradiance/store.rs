@@ -151,10 +151,10 @@ fn parse(bytes: &[u8], key: &[u8; HASH]) -> Result<Baked, &'static str> {
     }
     let mut rest = Rest(content);
     if rest.take(MAGIC.len()).ok_or(short)? != MAGIC {
-        return Err("it is no file of light");
+        return Err("not a light file");
     }
     if rest.take(HASH).ok_or(short)? != key {
-        return Err("it is of another place");
+        return Err("it belongs to another place");
     }
     let count = rest.array().map(u64::from_le_bytes).ok_or(short)?;
     let mut grids = Vec::new();
@@ -176,7 +176,7 @@ fn parse(bytes: &[u8], key: &[u8; HASH]) -> Result<Baked, &'static str> {
     let lux: Vec<[f32; 6]> = flat.as_chunks().0.to_vec();
     let expected = counts.into_iter().map(u64::from).product::<u64>();
     if !rest.0.is_empty() || flat.len() % 6 != 0 || lux.len() as u64 != expected {
-        return Err("its parts do not fit together");
+        return Err("its parts are inconsistent");
     }
     Ok(Baked {
         grids,

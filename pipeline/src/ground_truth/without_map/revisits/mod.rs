@@ -139,14 +139,14 @@ impl Revisits {
         } = self;
         let opened = match opened {
             0 => String::new(),
-            _ => format!("; {opened} more did not fit once all was solved, and are open"),
+            _ => format!("; {opened} more did not fit the solution and were dropped"),
         };
         let said = match closed {
             0 => format!(
-                "of {places} places none is known to be one that was seen before: drift grows with the way{opened}"
+                "no revisit was recognised at {places} places: drift grows with the distance{opened}"
             ),
             _ => format!(
-                "{recognised} of {places} places were seen before; {closed} loops are closed, which moved poses by up to {:.1} cm{opened}",
+                "{recognised} of {places} places were recognised as revisited; {closed} loops are closed, which moved poses by up to {:.1} cm{opened}",
                 self.moved_m * 1e2
             ),
         };
@@ -154,7 +154,7 @@ impl Revisits {
             Finding::new("revisits", Verdict::Warn.unless(!self.is_contradicted()), "trajectory", said)
                 .value(self.opened as f64, "loops")
                 .limit(Limit::AtMost(0.0))
-                .remedy("places that look the same may have been taken for one: set revisits.view_secs to 0 and compare")
+                .remedy("places that look alike may have been confused: set revisits.view_secs to 0 and compare")
         })
     }
 

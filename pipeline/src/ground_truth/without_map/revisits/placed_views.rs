@@ -44,7 +44,7 @@ impl PlacedViews {
         let total = wanted.len() as u64;
         let told = |done: usize| {
             progress(Progress {
-                stage: "places seen again",
+                stage: "verifying revisits",
                 done: done as u64,
                 total,
             })

@@ -148,7 +148,7 @@ impl Search<'_> {
                 .par_iter()
                 .map(|later| {
                     progress(Progress {
-                        stage: "places seen again",
+                        stage: "searching for revisits",
                         done: done.fetch_add(1, Ordering::Relaxed) + 1,
                         total,
                     })?;

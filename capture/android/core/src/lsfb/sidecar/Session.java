@@ -104,7 +104,7 @@ public final class Session {
       case Envelope.STATE:
         throw refusal(said.payload);
       default:
-        throw new ProtocolException("the rig says what only a phone may");
+        throw new ProtocolException("the rig sent a message that only a phone may send");
     }
   }
 

@@ -32,7 +32,7 @@ public final class Spool implements Closeable {
   public Spool(File folder) throws IOException {
     this.folder = folder;
     if (!folder.isDirectory() && !folder.mkdirs()) {
-      throw new IOException(folder + " cannot be made");
+      throw new IOException(folder + " cannot be created");
     }
     File mark = new File(folder, "acknowledged");
     if (mark.exists()) {
@@ -130,7 +130,7 @@ public final class Spool implements Closeable {
       return;
     }
     if (seq > lastSeq) {
-      throw new ProtocolException("DATA " + seq + " is acknowledged, " + lastSeq + " was the last");
+      throw new ProtocolException("DATA " + seq + " is acknowledged, but " + lastSeq + " was the last");
     }
     acknowledged = seq;
     try (RandomAccessFile out = new RandomAccessFile(new File(folder, "acknowledged"), "rw")) {

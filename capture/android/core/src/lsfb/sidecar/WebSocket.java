@@ -56,7 +56,7 @@ public final class WebSocket implements Closeable {
     out.write(head.getBytes(StandardCharsets.US_ASCII));
     String status = line();
     if (!status.startsWith("HTTP/1.1 101")) {
-      throw new IOException("the rig answers " + status);
+      throw new IOException("the rig answered " + status);
     }
     while (!line().isEmpty()) {
       // The key was pinned: which of its headers it sends does not matter.
@@ -148,7 +148,7 @@ public final class WebSocket implements Closeable {
 
     @Override
     public void checkClientTrusted(X509Certificate[] chain, String type) throws CertificateException {
-      throw new CertificateException("a rig is no client");
+      throw new CertificateException("a rig is not a client");
     }
 
     @Override
@@ -156,7 +156,7 @@ public final class WebSocket implements Closeable {
       try {
         byte[] found = MessageDigest.getInstance("SHA-256").digest(chain[0].getPublicKey().getEncoded());
         if (!MessageDigest.isEqual(found, fingerprint)) {
-          throw new CertificateException("this is not the rig of the pairing code");
+          throw new CertificateException("this rig does not match the pairing code");
         }
       } catch (GeneralSecurityException e) {
         throw new CertificateException(e);

@@ -22,16 +22,18 @@ use crate::judged::printable;
 use crate::outcome::Outcome;
 use table::{ALIGNMENT, QUADRANTS, Row, Run, Table, summary, text};
 
-/// Compute one walk with less and less of the map, as in the paper's Table IV, and judge each by a ground truth of your own.
+/// Compute one walk with less and less of the map, as in the paper's Table IV.
 ///
-/// The map is cut into quadrants around the medians of its points' x and y. For 75 % each of the four is withheld in turn, for 50 % each
-/// pair of neighbours, for 25 % all but each; 100 % is the whole map. 0 % is the motion without a map (`lsfb vio`). Every trajectory is
-/// aligned to the ground truth by SE(3) before it is judged, those in the map too: the motion without a map has no place of its own.
+/// Each trajectory is evaluated against your ground truth. The map is cut into quadrants around the
+/// medians of its points' x and y. 75 % withholds each of the four in turn, 50 % each pair of
+/// neighbours, 25 % all but one; 100 % is the whole map, and 0 % is motion without a map (`lsfb vio`).
+/// Every trajectory is aligned to the ground truth by SE(3) before evaluation, also those in the map,
+/// since motion without a map has no absolute position.
 ///
-/// Each row has the mean over the choices of quadrants with its 95 % interval (Student's t), the worst choice, the share of the poses that
-/// the ground truth judges (of a shorter one, not all), and the share of the walk's frames that have a pose; choices with which the walk is
-/// refused are counted and said. What is wrong and what is left out trade against each other: look at both. Writes ablation.json and every
-/// trajectory.
+/// Each row gives the mean over the choices of quadrants with its 95 % interval (Student's t), the
+/// worst choice, the share of ground-truth poses evaluated, and the share of the walk's frames with a
+/// pose; choices for which the walk is refused are counted. Look at errors and completeness together:
+/// one trades against the other. Writes ablation.json and every trajectory.
 ///
 /// Examples:
 ///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation
@@ -39,20 +41,20 @@ use table::{ALIGNMENT, QUADRANTS, Row, Run, Table, summary, text};
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording of a walk with a phone or glasses.
+    /// Recording of a walk with a phone or glasses.
     #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The map, a folder.
+    /// HD map (folder).
     #[arg(long, value_name = "FOLDER")]
     map: PathBuf,
-    /// The ground truth of the walk, in any format that `lsfb eval` reads.
+    /// Ground truth of the walk, in any format that `lsfb eval` reads.
     #[arg(long, value_name = "TRAJECTORY")]
     truth: PathBuf,
     /// Folder for the trajectories and the result.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Shares of the map that are left, in percent: 100, 75, 50, 25 or 0.
-    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = percent, default_value = "100,75,50,25,0")]
+    /// Shares of the map to keep, in percent: 100, 75, 50, 25 or 0.
+    #[arg(long, value_name = "PERCENT", value_delimiter = ',', value_parser = percent, default_value = "100,75,50,25,0")]
     map_percent: Vec<u32>,
     /// Settings of the ground truth instead of the defaults.
     #[arg(long, value_name = "TOML")]

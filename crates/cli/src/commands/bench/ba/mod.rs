@@ -16,11 +16,12 @@ use page::page_of;
 use problem::Grown;
 use runs::{Run, Summary, read_run};
 
-/// Solve a growing bundle adjustment keyframe by keyframe: incrementally, from scratch, and by other solvers.
+/// Benchmark bundle adjustment keyframe by keyframe: incremental, from scratch, other solvers.
 ///
-/// The problem is a simulated walk with a stereo camera that closes a loop at its end; it is written to problem.txt. A peer is a program
-/// that reads that file and writes one line a keyframe: its number from 1, CPU milliseconds of the update, cost after it
-/// (benches/solver/README.md has one for GTSAM). Writes problem.txt, incremental.csv, batch.csv and ba.html.
+/// The problem is a simulated walk with a stereo camera that closes a loop at its end; it is written to
+/// problem.txt. A peer is a program that reads that file and writes one line per keyframe: its number
+/// from 1, CPU milliseconds of the update, cost after it (benches/solver/README.md has one for GTSAM).
+/// Writes problem.txt, incremental.csv, batch.csv and ba.html.
 ///
 /// Examples:
 ///   lsfb bench ba --out ba
@@ -32,10 +33,11 @@ pub struct Arguments {
     /// Folder for the problem, the results and the page.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Keyframes of the walk, half a metre apart: at least 60, so that the loop is wide enough to walk round what is seen inside.
+    /// Keyframes of the walk, half a metre apart; at least 60, so that the walk can go around the points
+    /// inside the loop.
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(60..=10_000))]
     keyframes: u32,
-    /// Points for each keyframe of the walk, of which it sees about half.
+    /// Points per keyframe of the walk; each keyframe sees about half as many.
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(20..=1000))]
     points: u32,
     /// Points whose places are known, as those of an HD map are (Eq. 5 of the paper), in percent; each is up to a centimetre off.
@@ -44,10 +46,10 @@ pub struct Arguments {
     /// Seed of the walk.
     #[arg(long, value_name = "N", default_value_t = 7)]
     seed: u64,
-    /// Solve from scratch at every n-th keyframe.
+    /// Solve from scratch every N keyframes.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     batch_every: u32,
-    /// Result of another solver on the same problem; may be given several times.
+    /// Result of another solver on the same problem; may be repeated.
     #[arg(long, value_name = "NAME=FILE", value_parser = named_path)]
     peer: Vec<(String, PathBuf)>,
 }

@@ -34,12 +34,12 @@ pub fn page_of(runs: &[Run], summaries: &[Summary], about: &str) -> String {
     Page::new("Bundle adjustment, keyframe by keyframe")
         .body(html! {
             section {
-                h2 { "Time of an update" }
+                h2 { "Time per update" }
                 p { (about) }
                 figure { (plot.draw()) figcaption { (legend) } }
             }
             section {
-                h2 { "In figures" }
+                h2 { "Results" }
                 @for summary in summaries { p { (summary.line()) } }
             }
         })

@@ -125,7 +125,7 @@ impl Summary {
             .cost_above_batch
             .map_or("–".to_owned(), |c| format!("{c:.1e}"));
         format!(
-            "{:<16} median {:>8.2} ms, p95 {:>8.2} ms, most {:>8.2} ms a keyframe; grows with exponent {growth}; cost {above} above batch",
+            "{:<16} median {:>8.2} ms, p95 {:>8.2} ms, max {:>8.2} ms per keyframe; growth exponent {growth}; cost {above} above batch",
             self.solver, self.median_ms, self.p95_ms, self.max_ms
         )
     }
@@ -153,10 +153,10 @@ fn parse_run(name: &str, text: &str, keyframes: usize) -> anyhow::Result<Run> {
                     .is_none_or(|before| before.keyframe < u.keyframe)
             });
         run.updates.push(update.with_context(|| {
-            format!("line {}: not a keyframe from 1 to {keyframes} in ascending order, its CPU milliseconds, and its cost: {line}", number + 1)
+            format!("line {}: expected a keyframe from 1 to {keyframes} in ascending order, its CPU milliseconds, and its cost: {line}", number + 1)
         })?);
     }
-    anyhow::ensure!(!run.updates.is_empty(), "no keyframe in it");
+    anyhow::ensure!(!run.updates.is_empty(), "it has no keyframe");
     Ok(run)
 }
 

@@ -85,7 +85,7 @@ impl Contestant {
                 for (done, (number, _)) in images.iter().enumerate() {
                     let path = folder.join(file_of(*number, "txt"));
                     let text = std::fs::read_to_string(&path).with_context(|| {
-                        format!("{}: the peer has not run on this image", path.display())
+                        format!("{}: the peer was not run on this image", path.display())
                     })?;
                     let (features, cpu_ms) =
                         parse(&text).with_context(|| path.display().to_string())?;
@@ -148,7 +148,7 @@ fn parse(text: &str) -> anyhow::Result<(Features, Option<f64>)> {
     for (number, line) in text.lines().enumerate() {
         let refuse = || {
             format!(
-                "line {}: not a pixel, a scale and {DESCRIPTOR_LEN} numbers from 0 to 255: {line:.60}",
+                "line {}: expected a pixel, a scale and {DESCRIPTOR_LEN} numbers from 0 to 255: {line:.60}",
                 number + 1
             )
         };

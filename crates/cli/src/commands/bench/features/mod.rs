@@ -26,11 +26,12 @@ use scores::{PlanarScore, areas, matched, matchings, planar, pose_error_deg};
 use table::{Planar, Posed, Row};
 use warps::Kind;
 
-/// Compare features on pairs of images: how many keypoints are found again, how many matches and motions are right, and what it costs.
+/// Compare features on image pairs: repeatability, correct matches and motions, cost.
 ///
-/// Homographies are simulated (viewpoint, scale, rotation, light, blur) from real images; motions are those of folders of posed images,
-/// of pairs that overlap. Compared are SIFT and all weights that were added (lsfb models). A peer is a program that reads the images
-/// that --keep-images writes (benches/features has one for OpenCV's SIFT). Writes features.json and features.html.
+/// Homographies are simulated (viewpoint, scale, rotation, light, blur) from real images; motions are
+/// those of overlapping images with known poses. Compares SIFT and all weights that were added (lsfb
+/// models). A peer is a program that reads the images written by --keep-images (benches/features has
+/// one for OpenCV's SIFT). Writes features.json and features.html.
 ///
 /// Examples:
 ///   lsfb bench features --posed-images hololens_office --out features
@@ -39,33 +40,33 @@ use warps::Kind;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Folder of images for homographies; may be given several times. Without it the posed images are taken.
+    /// Folder of images for homographies; may be repeated. By default the posed images are used.
     #[arg(long, value_name = "FOLDER")]
     images: Vec<PathBuf>,
-    /// Folder of images with poses; may be given several times.
+    /// Folder of images with poses; may be repeated.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Vec<PathBuf>,
-    /// Folder for the table.
+    /// Folder for the tables.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Compare this feature; may be given several times. Without it SIFT and all weights that were added.
+    /// Feature to compare; may be repeated. By default SIFT and all weights that were added.
     #[arg(long, value_name = "NAME")]
     feature: Vec<String>,
     #[command(flatten)]
     models: ModelFolder,
-    /// Images for homographies, evenly over all; each is in five pairs.
+    /// Number of images for homographies, spread evenly over all; each is used in five pairs.
     #[arg(long, value_name = "N", default_value_t = 24)]
     homography_images: usize,
-    /// Pairs of each folder of posed images, at most.
+    /// Largest number of pairs from each folder of posed images.
     #[arg(long, value_name = "N", default_value_t = 60)]
     pose_pairs: usize,
     /// Seed of the homographies.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Folder with what another program found in the images; may be given several times.
+    /// Folder with the features that another program found in the images; may be repeated.
     #[arg(long, value_name = "NAME=FOLDER", value_parser = named_path)]
     peer_features: Vec<(String, PathBuf)>,
-    /// Keep the images in the folder, and the matches of pairs with known motions, for other programs.
+    /// Keep the images, and the matches of pairs with known motion, in the folder for other programs.
     #[arg(long)]
     keep_images: bool,
 }

@@ -53,7 +53,7 @@ impl Pairs {
             .collect::<anyhow::Result<_>>()?;
         let mut sources: Vec<PathBuf> = Vec::new();
         for folder in &arguments.images {
-            crate::files::expect_file(folder, "name a folder of images")?;
+            crate::files::expect_file(folder, "give a folder of images")?;
             sources.extend(image_files(folder)?);
         }
         if arguments.images.is_empty() {
@@ -66,7 +66,7 @@ impl Pairs {
         }
         anyhow::ensure!(
             !sources.is_empty(),
-            "no images: name folders with .png, .jpg or .jpeg files by --images or --posed-images"
+            "no images: give folders with .png, .jpg or .jpeg files by --images or --posed-images"
         );
         pairs.add_planar(
             &evenly(&sources, arguments.homography_images),
@@ -92,14 +92,14 @@ impl Pairs {
     ) -> anyhow::Result<()> {
         for (number, path) in sources.iter().enumerate() {
             context.show(Progress {
-                stage: "images seen otherwise",
+                stage: "warping images",
                 done: number as u64,
                 total: sources.len() as u64,
             })?;
             let source = lsfb_perception::image::read(path)?;
             anyhow::ensure!(
                 source.width.min(source.height) >= 64,
-                "{}: {} × {} px: too small to compare features on; 64 px a side is the least",
+                "{}: {} × {} px: too small to compare features on; at least 64 px per side are needed",
                 path.display(),
                 source.width,
                 source.height
@@ -139,7 +139,7 @@ impl Pairs {
         let detector = FeatureDetector::sift(&SiftConfig::default())?;
         let features = detector.detect_all(&images.iter().collect::<Vec<_>>(), &|progress| {
             context.show(Progress {
-                stage: "how deep scenes are",
+                stage: "estimating scene depth",
                 ..progress
             })
         })?;
@@ -160,7 +160,7 @@ impl Pairs {
         let pairs = choose(&placed, limit);
         if pairs.is_empty() {
             context.say(&format!(
-                "{place}: no two of {} images that overlap and are far enough apart",
+                "{place}: no two of {} images overlap from viewpoints far enough apart",
                 chosen.len()
             ));
         }

@@ -35,7 +35,7 @@ impl Kept {
             .enumerate()
             .map(|(i, line)| {
                 serde_json::from_str(line)
-                    .with_context(|| format!("{}, line {}: no score", path.display(), i + 1))
+                    .with_context(|| format!("{}, line {}: not a score", path.display(), i + 1))
             })
             .collect::<anyhow::Result<_>>()?;
         let mut file = OpenOptions::new()

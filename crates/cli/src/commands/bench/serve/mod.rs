@@ -21,12 +21,13 @@ use site::Site;
 /// How often somebody may have asked for an end.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// Serve a leaderboard: whoever uploads a trajectory of a dataset's sequence gets its errors, without seeing the truth.
+/// Serve a leaderboard that scores uploaded trajectories without showing the truth.
 ///
-/// Uploads are text (TUM, EuRoC csv and all else that `lsfb eval` reads), one sequence each, of limited size and number. They are judged
-/// and forgotten; scores are kept in submissions.jsonl. Errors are given to the millimetre after alignment; teams that cover less than
-/// 90 % of a sequence are not ranked. Nobody is asked for a password: give the address to whom you trust, or put a web server with
-/// accounts and TLS before it. Ctrl-C ends it.
+/// Uploads are text (TUM, EuRoC csv, or any format of `lsfb eval`), one sequence each, limited in size
+/// and number. They are scored and then deleted; scores are kept in submissions.jsonl. Errors are given
+/// to the millimetre after alignment; teams that cover less than 90 % of a sequence are not ranked.
+/// There are no passwords: share the address only with people you trust, or put a web server with
+/// accounts and TLS in front. Press Ctrl-C to stop.
 ///
 /// Examples:
 ///   lsfb bench serve dataset --out board
@@ -34,13 +35,13 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The dataset, with its truth.
+    /// Dataset with its truth.
     #[arg(value_name = "FOLDER")]
     dataset: PathBuf,
     /// Folder for the scores.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Address to listen on; port 0 takes a free one.
+    /// Address to listen on; port 0 picks a free one.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8780")]
     listen: SocketAddr,
     /// Largest upload.
@@ -62,7 +63,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     )?;
     if site.is_empty() {
         anyhow::bail!(
-            "{}: no sequence has its truth: it is in the folder truth, which was held back",
+            "{}: no sequence has its truth: the folder truth was held back",
             arguments.dataset.display()
         );
     }
@@ -74,7 +75,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     );
     context.say(&format!("leaderboard: http://{}/", listener.address()));
     if !listener.address().ip().is_loopback() {
-        context.say("warning: whoever reaches this machine may upload");
+        context.say("warning: anyone who can reach this machine can upload");
     }
     // An end that was asked for is the end, and no error.
     while context.check_stop().is_ok() {

@@ -19,7 +19,7 @@ pub fn board(title: &str, sequences: &[(&str, Vec<Ranked>)], most_bytes: usize) 
                 p { label { "Trajectory " input type="file" name="trajectory" required; } }
                 p { button { "Upload" } }
             }
-            p { "TUM text, EuRoC csv or a table with names, of at most " (most_bytes / 1_000_000) " MB. It is judged and forgotten." }
+            p { "TUM text, EuRoC csv or a table with column names, at most " (most_bytes / 1_000_000) " MB. It is scored and then deleted." }
         }
         @for (name, ranked) in sequences {
             section {
@@ -42,7 +42,7 @@ pub fn scored(submission: &Submission) -> String {
     };
     let body = html! {
         section { h2 { (submission.sequence) } (scroll(&table(&[ranked]))) }
-        p { a href="/" { "To the leaderboard" } }
+        p { a href="/" { "Back to the leaderboard" } }
     };
     Page::new("Your result").body(body).to_html()
 }

@@ -101,7 +101,7 @@ impl Site {
         let path = request.uri().path().to_owned();
         let answer = match (request.method().clone(), path.as_str()) {
             (Method::GET | Method::POST, _) if !self.names.are_asked(&request) => {
-                said(StatusCode::MISDIRECTED_REQUEST, "no such site here")
+                said(StatusCode::MISDIRECTED_REQUEST, "no such site")
             }
             (Method::GET, "/") => html(StatusCode::OK, self.board()),
             (Method::GET, "/scores.json") => self.scores(),
@@ -110,7 +110,10 @@ impl Site {
                 Ok(submission) => html(StatusCode::OK, page::scored(&submission)),
                 Err(refusal) => html(refusal.status, page::refused(&refusal.why)),
             },
-            _ => said(StatusCode::METHOD_NOT_ALLOWED, "nothing is taken here"),
+            _ => said(
+                StatusCode::METHOD_NOT_ALLOWED,
+                "uploads are not accepted here",
+            ),
         };
         under(POLICY, answer)
     }
@@ -141,7 +144,7 @@ impl Site {
         visit: &Visit,
     ) -> Result<Submission, Refusal> {
         if !is_own_page(&request, visit.is_secure) {
-            let why = "the form of another site";
+            let why = "form of another site";
             return Err(Refusal::new(StatusCode::FORBIDDEN, why));
         }
         if !self.rate.admits(visit.peer, Instant::now()) {
@@ -149,7 +152,7 @@ impl Site {
             return Err(Refusal::new(StatusCode::TOO_MANY_REQUESTS, why));
         }
         let Some(_place) = UploadSlot::take(&self.uploads) else {
-            let why = "others are uploading: come back in a minute";
+            let why = "others are uploading: try again in a minute";
             return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why));
         };
         // It may take its time now, which strangers may not.
@@ -160,16 +163,18 @@ impl Site {
         let most = self.most_bytes + FORM_BYTES;
         let body = body(request, most, UPLOAD_TIMEOUT)
             .await
-            .map_err(|status| Refusal::new(status, "the upload is too large, too slow or cut"))?;
+            .map_err(|status| {
+                Refusal::new(status, "the upload is too large, too slow or incomplete")
+            })?;
         let site = Arc::clone(self);
         let judged = blocking(move || site.judge(&content_type, &body)).await;
-        let unknown = || Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, "it was not judged");
+        let unknown = || Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, "it could not be scored");
         judged.ok_or_else(unknown)?
     }
 
     fn judge(&self, content_type: &str, body: &[u8]) -> Result<Submission, Refusal> {
         let fields = fields(content_type, body)
-            .ok_or_else(|| Refusal::new(StatusCode::BAD_REQUEST, "no form that was sent whole"))?;
+            .ok_or_else(|| Refusal::new(StatusCode::BAD_REQUEST, "the form is incomplete"))?;
         let text = |name: &str| -> Option<&str> {
             let bytes = &field(&fields, name)?.bytes;
             Some(std::str::from_utf8(bytes).ok()?.trim())
@@ -180,10 +185,11 @@ impl Site {
                 && !name.chars().any(char::is_control)
         };
         let team = text("team").filter(is_name);
-        let team = team.ok_or_else(|| bad("a team has a name of 1 to 40 characters"))?;
+        let team = team.ok_or_else(|| bad("a team name has 1 to 40 characters"))?;
         let known = text("sequence").and_then(|name| self.truths.get_key_value(name));
         let (sequence, truth) = known.ok_or_else(|| bad("no such sequence"))?;
-        let upload = field(&fields, "trajectory").ok_or_else(|| bad("there is no trajectory"))?;
+        let upload =
+            field(&fields, "trajectory").ok_or_else(|| bad("the trajectory is missing"))?;
         let submission = Submission {
             unix_s: SystemTime::now()
                 .duration_since(UNIX_EPOCH)
@@ -203,7 +209,7 @@ impl Site {
         if !is_text {
             return Err(Refusal::new(
                 StatusCode::BAD_REQUEST,
-                "a trajectory is text",
+                "a trajectory must be text",
             ));
         }
         let unavailable = |error: std::io::Error| {

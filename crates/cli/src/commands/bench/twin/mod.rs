@@ -35,11 +35,12 @@ pub use session::refusal;
 pub use trial::OTHER_FLOOR;
 use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 
-/// Run the standard trial: scan, map, ground truth and evaluation in simulated places, as in the paper's Tables IV and V.
+/// Run the standard trial: scan, map, ground truth and evaluation in simulated places.
 ///
-/// Walks go 0.5 to 6 m beside the scanner's path where the place has room, with the motions of Table VII, and every rig comes from a
-/// calibration before a simulated board. The exit code is 4 if any exported pose is more than 10 cm off, or if no place could
-/// be mapped. What is finished is not run again; recordings are removed once they are judged. Written are twin.json and report.html.
+/// As in the paper's Tables IV and V. Walks go 0.5 to 6 m beside the scanner's path where there is
+/// room, with the motions of Table VII, and every rig is calibrated with a simulated board. Exit code
+/// 4: an exported pose is more than 10 cm off, or no place could be mapped. Finished parts are not run
+/// again; recordings are removed once evaluated. Writes twin.json and report.html.
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --quick
@@ -50,15 +51,18 @@ pub struct Arguments {
     /// Folder for maps, trajectories and the report.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Environments of `lsfb sim --place`, separated by commas (--places is the same); without it all nine of the paper.
+    /// Environments of `lsfb sim --place`, separated by commas (--places is the same); by default all nine of
+    /// the paper.
     #[arg(long = "place", visible_alias = "places", value_name = "NAME", value_parser = place, value_delimiter = ',')]
     places: Vec<Place>,
-    /// Devices of the walks, separated by commas (--devices is the same, and here no file of devices); without it android, iphone and glasses.
+    /// Devices of the walks, separated by commas (--devices is the same; not a file of devices here); by
+    /// default android, iphone and glasses.
     #[arg(long = "device", visible_alias = "devices", value_name = "NAME", value_parser = device, value_delimiter = ',')]
     devices: Vec<Device>,
-    /// How the place has changed between scan and walk, separated by commas: as-scanned; six-months, in which half of what
-    /// people move has been moved; crowd, with a dozen people more; other-floor, on another floor that is built alike, where every
-    /// pose is wrong; night, with few lamps lit; fire-door, with a door closed that stood open (large-office, house-park, both corridors).
+    /// Changes between scan and walk, separated by commas: as-scanned; six-months, half of the movable
+    /// objects moved; crowd, a dozen more people; other-floor, another floor that looks alike, where every
+    /// pose is wrong; night, few lamps lit; fire-door, an open door closed (large-office, house-park, both
+    /// corridors).
     #[arg(long = "condition", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
     /// Number of seeds.
@@ -67,28 +71,28 @@ pub struct Arguments {
     /// The first seed.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Shorter walks and smaller images, for daily use; otherwise as hard.
+    /// Shorter walks and smaller images, for daily use; equally hard otherwise.
     #[arg(long)]
     quick: bool,
     /// Only check that everything runs, on seconds of scan and walk; the figures mean nothing.
     #[arg(long, conflicts_with = "quick")]
     try_out: bool,
-    /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
+    /// Use the exact rigs instead of calibrated ones: easier than any real trial.
     #[arg(long)]
     true_rigs: bool,
-    /// Simple light instead of that traced from true lamps, sky and sun, which has shadows, gloss and windows too bright to see through, and
-    /// is computed once for each place and seed: easier than any real trial.
+    /// Use simple light instead of path-traced lamps, sky and sun with shadows, gloss and overexposed
+    /// windows (computed once per place and seed): easier than any real trial.
     #[arg(long)]
     simple_light: bool,
-    /// Speckles of all sizes instead of surfaces painted each in its own way, with signs, books, screens and papers that have words on them, and
-    /// a view out of the windows.
+    /// Texture all surfaces with speckles, instead of individually painted surfaces, signs, books, screens
+    /// and papers with text, and a view through the windows.
     #[arg(long)]
     plain_look: bool,
-    /// Places that are worked on at the same time; without it, as many as cores and free memory allow. Results do not depend on it;
-    /// the time of a stage is then that beside others.
+    /// Places to process at the same time; by default as many as cores and free memory allow. Results do
+    /// not depend on it, but measured times do.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     at_once: Option<u16>,
-    /// Keep all recordings: hundreds of megabytes for each scan, tens of gigabytes without --quick.
+    /// Keep all recordings: hundreds of megabytes per scan, tens of gigabytes without --quick.
     #[arg(long)]
     keep_recordings: bool,
 }
@@ -146,7 +150,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         for condition in &arguments.conditions {
             if !condition.is_possible_in(*place) {
                 context.note(&format!(
-                    "{}: has no door that could be closed, and so no {} walks",
+                    "{}: it has no door that could be closed, and so no {} walks",
                     place.name(),
                     condition.name()
                 ));
@@ -240,11 +244,11 @@ fn take_folder(out: &Path, context: &Context) -> anyhow::Result<()> {
     let is_empty = std::fs::read_dir(out).map_or(true, |mut entries| entries.next().is_none());
     anyhow::ensure!(
         is_empty || mark.exists() || context.force(),
-        "{}: has files that are not of a trial: choose another --out, or use it with --force",
+        "{}: has files that do not belong to a trial: choose another --out, or use --force",
         out.display()
     );
     std::fs::create_dir_all(out)?;
-    crate::files::write(&mark, "Made by `lsfb bench twin`, which continues here.\n")
+    crate::files::write(&mark, "Made by `lsfb bench twin`, which resumes here.\n")
 }
 
 fn or_all<T: Copy>(chosen: &[T], all: &[T]) -> Vec<T> {
@@ -258,7 +262,7 @@ fn or_all<T: Copy>(chosen: &[T], all: &[T]) -> Vec<T> {
 fn finish(out: &Path, runs: &[Run], context: &Context) -> anyhow::Result<Outcome> {
     let judgement = result::judge(runs);
     let page = out.join(PAGE);
-    let title = "The standard trial in the twin";
+    let title = "Standard trial in simulated places";
     crate::files::write(&page, page::html(runs, &judgement, title))?;
     let printed = Printed { runs, page: &page };
     let judged = Judged::new(&judgement, &format!("{} runs", runs.len()), &printed);

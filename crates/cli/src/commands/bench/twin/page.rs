@@ -10,14 +10,16 @@ use super::result::Run;
 pub fn html(runs: &[Run], judgement: &Judgement, title: &str) -> String {
     let body = html! {
         p.note {
-            "Simulated recordings; walks go beside the scanner's path, rigs come from a calibration before a simulated board. \
-             Errors of a walk are those after an alignment of its own, as in the paper's Tables IV and V; what is wrong is \
-             counted where the map places it. Jitter is the trajectory's motion above 5 Hz that is not in the truth; from image to image it is \
-             the second difference of errors, beside that of images localized one by one. What remains too easy is said in docs/twin.md."
+            "Simulated recordings: walks go beside the scanner's path, and rigs are calibrated with \
+             a simulated board. Walk errors are given after aligning each walk, as in the paper's \
+             Tables IV and V; wrong poses are counted in the map's frame without alignment. Jitter \
+             is the trajectory's motion above 5 Hz that is not in the truth; image-to-image jitter \
+             is the second difference of the errors, also given for images localized one by one. \
+             docs/twin.md lists what remains too easy."
         }
         section { h2 { "Runs" } (scroll(&errors(runs))) }
         section { h2 { "Time and memory" } (scroll(&costs(runs))) }
-        section { h2 { "Calibrated rigs against the true ones" } (scroll(&rigs(runs))) }
+        section { h2 { "Calibrated vs. true rigs" } (scroll(&rigs(runs))) }
     };
     Page::new(title)
         .judged(judgement, &format!("{} runs", runs.len()))
@@ -33,11 +35,11 @@ fn errors(runs: &[Run]) -> Markup {
     html! {
         table.numbers {
             thead { tr {
-                th { "run" } th { "motion" } th { "off path, m" } th { "scanner ATE, cm" } th { "drift, %" }
-                th { "reprojection, px" } th { "localized, %" } th { "and right, %" } th { "ATE rms, cm" }
+                th { "run" } th { "motion" } th { "distance from path, m" } th { "scanner ATE, cm" } th { "drift, %" }
+                th { "reprojection, px" } th { "localized, %" } th { "correct, %" } th { "ATE rms, cm" }
                 th { "ATE max, cm" } th { "in the map, cm" } th { "jitter, mm" }
-                th { "from image to image, mm" } th { "localized alone, mm" } th { "exported" } th { "wrong" }
-                th { "left out, s" } th { "said of it" } th { "refused" }
+                th { "image-to-image jitter, mm" } th { "single-image jitter, mm" } th { "exported" } th { "wrong" }
+                th { "left out, s" } th { "warnings" } th { "refused" }
             } }
             tbody {
                 @for run in runs {
@@ -71,7 +73,7 @@ fn errors(runs: &[Run]) -> Markup {
 fn costs(runs: &[Run]) -> Markup {
     html! {
         table.numbers {
-            thead { tr { th { "run" } th { "stages, s" } th { "memory at most, MB" } } }
+            thead { tr { th { "run" } th { "stages, s" } th { "peak memory, MB" } } }
             tbody {
                 @for run in runs {
                     tr {

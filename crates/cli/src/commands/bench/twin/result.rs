@@ -126,7 +126,7 @@ impl Run {
             count => (format!("{count} poses are"), Verdict::Fail),
         };
         let what = format!(
-            "of {} poses given {wrong} more than 10 cm off where the map places it",
+            "of {} poses, {wrong} more than 10 cm off its true position in the map",
             self.exported
         );
         findings.push(
@@ -135,7 +135,7 @@ impl Run {
                 .limit(Limit::AtMost(0.0)),
         );
         if self.failed {
-            let what = format!("not to be used: {}", self.doubts.join(", "));
+            let what = format!("do not use: {}", self.doubts.join(", "));
             findings.push(Finding::new("judgement", Verdict::Warn, self.name(), what));
         }
         findings
@@ -146,7 +146,7 @@ impl Run {
 pub fn judge(runs: &[Run]) -> Judgement {
     let mut findings: Vec<Finding> = runs.iter().flat_map(Run::findings).collect();
     if runs.iter().all(|run| run.scanner_ate_rms_m.is_none()) {
-        let what = "no place was mapped: no walk was tried";
+        let what = "no place was mapped, so that no walk was tried";
         findings.push(Finding::new("nothing_tried", Verdict::Fail, "trial", what));
     }
     Judgement::new(findings)

@@ -143,11 +143,11 @@ pub fn lever(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     (left_m < LESS * best_m && lever.norm() > left_m && lever.norm() < LONGEST_LEVER_M).then(|| {
         let [x, y, z] = lever.into();
         let what = format!(
-            "the estimate seems to be of another point than the truth, at ({x:.3}, {y:.3}, {z:.3}) m in the truth's body: of this one its error would be {left_m:.4} m rms and not {best_m:.4} m"
+            "the estimate seems to track another point than the truth, at ({x:.3}, {y:.3}, {z:.3}) m in the truth's body frame: for this point its error would be {left_m:.4} m rms instead of {best_m:.4} m"
         );
         Finding::new("lever", Verdict::Warn, "positions", what)
             .value(lever.norm(), "m")
-            .remedy("express both in one body: `lsfb align` finds where one is on the other")
+            .remedy("express both in one body frame: `lsfb align` estimates the transform between them")
     })
 }
 
@@ -205,10 +205,10 @@ pub fn running_clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     }
     let (least, most) = (offsets.min(), offsets.max());
     let what = format!(
-        "the clocks do not run alike: the estimate's stamps seem {least:.3} to {most:.3} s late; without that its error would be {left_m:.4} m rms and not {best_m:.4} m"
+        "the clocks run at different rates: the estimate's stamps seem {least:.3} to {most:.3} s late; without that its error would be {left_m:.4} m rms instead of {best_m:.4} m"
     );
     let finding = Finding::new("clock", Verdict::Warn, "stamps", what).value(most - least, "s");
-    Some(finding.remedy("stamp both by one clock, or align them in parts by `lsfb align`"))
+    Some(finding.remedy("stamp both with one clock, or align them in parts with `lsfb align`"))
 }
 
 /// Whether the orientations alone are late or early: positions and orientations of a row are then of different times.
@@ -239,14 +239,14 @@ pub fn late_turns(aligned: &[PosePair]) -> Option<Finding> {
         .then(|| {
             let side = if late_secs > 0.0 { "late" } else { "early" };
             let what = format!(
-                "the estimate's orientations seem {:.3} s {side}, and its positions do not: without that {:.2}° rms of them would be left, and not {:.2}°",
+                "the estimate's orientations seem {:.3} s {side}, but its positions do not: without that the rotation error would be {:.2}° rms instead of {:.2}°",
                 late_secs.abs(),
                 left_rad.to_degrees(),
                 before_rad.to_degrees()
             );
             Finding::new("late-orientations", Verdict::Warn, "orientations", what)
                 .value(late_secs, "s")
-                .remedy("write position and orientation of one time into a row")
+                .remedy("write position and orientation of the same time into a row")
         })
 }
 
@@ -297,11 +297,11 @@ pub fn axes(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
         return (rest_m < LESS * best_m).then(|| {
             let axis = name[axis];
             let what = format!(
-                "{axis} of the estimate never changes: its errors are nearly all the {across_m:.3} m rms by which the truth leaves that plane"
+                "{axis} of the estimate is constant: that explains nearly all of the error; the truth leaves this plane by {across_m:.3} m rms"
             );
             Finding::new("axes", Verdict::Warn, "positions", what)
                 .value(across_m, "m")
-                .remedy("if the system knows no third axis, say so beside the figures; else write all of the position")
+                .remedy("if the system has no third dimension, say so beside the figures; otherwise write the whole position")
         });
     }
     let sum: f64 = pairs.iter().map(|p| left(p).norm_squared()).sum();
@@ -325,7 +325,7 @@ pub fn axes(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     (left_m < LESS * best_m && !is_shear && most > (1.0 + LEAST_AXIS) * least).then(|| {
         let [x, y, z] = lengths.map(|length| 1.0 / length);
         let what = format!(
-            "the estimate's axes have different units: x, y, z are {x:.4}, {y:.4}, {z:.4} of the truth's; with one unit its error would be {left_m:.4} m rms and not {best_m:.4} m"
+            "the estimate's axes have different units: x, y, z are {x:.4}, {y:.4}, {z:.4} of the truth's; with one unit its error would be {left_m:.4} m rms instead of {best_m:.4} m"
         );
         Finding::new("axes", Verdict::Warn, "positions", what)
             .value(most / least, "")

@@ -97,7 +97,7 @@ fn one_mistake_that_makes_all_errors_is_named() {
             UnitQuaternion::new(Vector3::z() * 0.01 * (0.3 * i as f64).sin());
         p.world_from_rig.translation.z = 0.0;
     });
-    only(&named(&flat), "axes", "z of the estimate never changes");
+    only(&named(&flat), "axes", "z of the estimate is constant");
 
     let in_feet = changed(&right, |_, p| p.world_from_rig.translation /= 0.3048);
     only(&named(&in_feet), "scale", "3.28");
@@ -105,7 +105,7 @@ fn one_mistake_that_makes_all_errors_is_named() {
     let mounted = changed(&right, |_, p| {
         p.world_from_rig.rotation *= UnitQuaternion::new(Vector3::z() * 0.06);
     });
-    only(&named(&mounted), "orientations", "turned by 3.");
+    only(&named(&mounted), "orientations", "rotation of 3.");
 
     let true_turns = changed(&right, |i, p| {
         p.world_from_rig.rotation = walk(|_| 0.0)[i].world_from_rig.rotation;

@@ -16,7 +16,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Image, String> {
     if !is_whole(bytes) {
-        return Err("a JPEG that is cut short".to_owned());
+        return Err("a truncated JPEG".to_owned());
     }
     scan::check(bytes).map_err(|damage| format!("a damaged JPEG: {damage}"))?;
     let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::Luma);

@@ -35,13 +35,16 @@ pub(super) enum Damage {
 impl fmt::Display for Damage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Short { blocks, of } => write!(f, "its data end after {blocks} of {of} blocks"),
+            Self::Short { blocks, of } => write!(f, "its data ends after {blocks} of {of} blocks"),
             Self::Long { bytes } => {
-                write!(f, "its data go on for {bytes} bytes behind the last block")
+                write!(
+                    f,
+                    "its data continues for {bytes} bytes after the last block"
+                )
             }
             Self::NoCode { block, of } => write!(f, "block {block} of {of} has no valid code"),
             Self::Constant { block, of } => {
-                write!(f, "block {block} of {of} was written over with one value")
+                write!(f, "block {block} of {of} was overwritten with one value")
             }
             Self::Restart { number } => write!(f, "restart marker {number} is missing"),
         }

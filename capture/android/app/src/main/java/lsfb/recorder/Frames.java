@@ -55,7 +55,7 @@ final class Frames {
           return;
         }
       }
-      outlet.problem("this phone has no camera at the back");
+      outlet.problem("this phone has no rear camera");
     } catch (CameraAccessException | SecurityException e) {
       outlet.problem("the camera: " + e.getMessage());
     }
@@ -87,7 +87,7 @@ final class Frames {
         @Override
         public void onDisconnected(CameraDevice device) {
           device.close();
-          outlet.problem("another app took the camera");
+          outlet.problem("another app is using the camera");
         }
 
         @Override
@@ -115,7 +115,7 @@ final class Frames {
 
         @Override
         public void onConfigureFailed(CameraCaptureSession session) {
-          outlet.problem("the camera takes no images of 640 × 480");
+          outlet.problem("the camera does not support 640 × 480 images");
         }
       };
 
@@ -167,7 +167,7 @@ final class Frames {
       outlet.put(isKnown ? Outlet.FRAME_META : Outlet.FRAME_META_OF_UNKNOWN_CLOCK, times.timeNs, meta);
     }
     if (images.size() > MOST_WAITING || exposures.size() > MOST_WAITING) {
-      outlet.problem("the camera does not say how images were exposed");
+      outlet.problem("the camera does not report exposure times");
       images.clear();
       exposures.clear();
     }

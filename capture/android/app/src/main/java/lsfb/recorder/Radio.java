@@ -41,7 +41,7 @@ final class Radio extends BroadcastReceiver {
 
         @Override
         public void onScanFailed(int code) {
-          outlet.problem("Bluetooth cannot be listened to: " + code);
+          outlet.problem("Bluetooth scan failed: " + code);
         }
       };
 
@@ -57,7 +57,7 @@ final class Radio extends BroadcastReceiver {
     BluetoothManager bluetooth = (BluetoothManager) context.getSystemService(Context.BLUETOOTH_SERVICE);
     BluetoothLeScanner scanner = bluetooth.getAdapter() == null ? null : bluetooth.getAdapter().getBluetoothLeScanner();
     if (scanner == null) {
-      outlet.problem("Bluetooth is switched off");
+      outlet.problem("Bluetooth is off");
     } else {
       // Once: Android allows five starts in half a minute.
       ScanSettings often = new ScanSettings.Builder().setScanMode(ScanSettings.SCAN_MODE_LOW_LATENCY).build();
