@@ -207,7 +207,7 @@ mod tests {
             ("1 0 0 inf 0 0 0 1", "not finite"),
             ("1 0 0 nan 0 0 0 1", "not finite"),
             ("1 0 0 x 0 0 0 1", "`x` is not a number"),
-            ("t 0 0 0 0 0 0 1", "`t` is no time"),
+            ("t 0 0 0 0 0 0 1", "`t` is not a time"),
         ] {
             let (_dir, path) = file(&format!("# head\n0 0 0 0 0 0 0 1\n{line}\n"));
             let message = read_tum(&path).unwrap_err().to_string();
