@@ -11,7 +11,7 @@
 //! let mut decoder = Decoder::new(Settings::default());
 //! let datagram = Packet { arrival: Timestamp::from_nanos(0), bytes: b"not a LiDAR".to_vec() };
 //! let error = decoder.push(&datagram).expect_err("nothing that a LiDAR sends");
-//! assert_eq!(error.to_string(), "a datagram of 11 bytes is not of a LiDAR that is known here");
+//! assert_eq!(error.to_string(), "a datagram of 11 bytes is not from a supported LiDAR");
 //! ```
 
 mod looks_like;
