@@ -3,7 +3,7 @@
 use lsfb_solver::{Diagnosis, Incremental, IncrementalConfig, Problem, SolveConfig, solve};
 
 use crate::cost::cpu_secs;
-use lsfb_problems::walk::{Added, Target, Walk};
+use lsfb_problems::walk::{Added, Target, Walk, farthest_m, solve_to_the_last_digit};
 
 pub fn run(
     keyframes: usize,
@@ -42,19 +42,9 @@ pub fn run(
         let began = cpu_secs();
         solve(&mut problem, &config)?;
         let cold_ms = 1e3 * (cpu_secs() - began);
-        let to_the_last_digit = SolveConfig {
-            cost_tolerance: 0.0,
-            gradient_tolerance: 0.0,
-            step_tolerance: 1e-13,
-            initial_damping: 1e-12,
-            max_iterations: 200,
-            ..config
-        };
-        let optimum = solve(&mut problem, &to_the_last_digit)?.final_cost;
-        let apart_m = added.poses.iter().zip(&again.poses).map(|(ours, cold)| {
-            (growing.value(*ours).translation - problem.value(*cold).translation).norm()
-        });
-        let apart_m = apart_m.fold(0.0, f64::max);
+        let optimum = solve_to_the_last_digit(&mut problem)?;
+        let poses = added.poses.iter().zip(&again.poses);
+        let apart_m = farthest_m(poses.map(|(a, b)| (growing.value(*a), problem.value(*b))));
         let mut recent = times_ms[times_ms.len() - step..].to_vec();
         recent.sort_by(f64::total_cmp);
         let error = walk.truth[k].inverse() * growing.value(added.poses[k]);

@@ -60,7 +60,7 @@ struct Linearized {
 
 /// Where one block of a residual has its steps, and the residual its Jacobian; of length 0 where there is none.
 #[derive(Clone, Copy)]
-struct Factor {
+struct Term {
     step: u32,
     length: u32,
     jacobian: u32,
@@ -73,23 +73,18 @@ pub(super) struct Models {
     linearized: Vec<Linearized>,
     slots: Vec<Slot>,
     /// One for each slot.
-    factors: Vec<Factor>,
+    terms: Vec<Term>,
     numbers: Vec<f64>,
     scratch: Vec<f64>,
 }
 
 /// `target = J s`, of the Jacobians in a record.
 #[inline(always)]
-fn product<const FUSED: bool>(
-    record: &[f64],
-    factors: &[Factor],
-    steps: &[f64],
-    target: &mut [f64],
-) {
+fn product<const FUSED: bool>(record: &[f64], terms: &[Term], steps: &[f64], target: &mut [f64]) {
     target.fill(0.0);
-    for factor in factors.iter().filter(|factor| factor.length > 0) {
-        let step = &steps[factor.step as usize..][..factor.length as usize];
-        let rows = &record[factor.jacobian as usize..];
+    for term in terms.iter().filter(|term| term.length > 0) {
+        let step = &steps[term.step as usize..][..term.length as usize];
+        let rows = &record[term.jacobian as usize..];
         match step.len() {
             3 => product_fixed::<FUSED, 3>(rows, step, target),
             6 => product_fixed::<FUSED, 6>(rows, step, target),
@@ -192,13 +187,13 @@ impl Models {
             let stored = &problem.values[entry.start..entry.start + entry.shape.stored];
             if !stored.iter().all(|x| x.is_finite()) {
                 self.slots.truncate(first);
-                self.factors.truncate(first);
+                self.terms.truncate(first);
                 return Err(Error::BlockNotFinite { block: block.0 });
             }
             let is_held = steps.part(block.0) == Part::Held;
             let jacobian = if is_held { CONSTANT } else { next as u32 };
             let length = if is_held { 0 } else { entry.free() };
-            self.factors.push(Factor {
+            self.terms.push(Term {
                 step: steps.range(block.0).start as u32,
                 length: length as u32,
                 jacobian,
@@ -262,7 +257,7 @@ impl Models {
         }
         let dimension = model.dimension as usize;
         let own = model.slots[0] as usize..model.slots[1] as usize;
-        let (slots, factors) = (&self.slots[own.clone()], &self.factors[own]);
+        let (slots, terms) = (&self.slots[own.clone()], &self.terms[own]);
         let numbers = &mut self.numbers[model.start..][..model.length as usize + dimension];
         let (record, shift) = numbers.split_at_mut(model.length as usize);
         let parameters = Parameters {
@@ -316,7 +311,7 @@ impl Models {
         if model.root != 1.0 {
             record.iter_mut().for_each(|x| *x *= model.root);
         }
-        product::<false>(record, factors, steps.all(), shift);
+        product::<false>(record, terms, steps.all(), shift);
         for (b, shift) in record.iter_mut().zip(&*shift) {
             *b = *b / (1.0 - model.bend) - shift;
         }
@@ -365,11 +360,11 @@ impl Models {
             return trust.tries_undefined;
         }
         let dimension = model.dimension as usize;
-        let factors = &self.factors[model.slots[0] as usize..model.slots[1] as usize];
+        let terms = &self.terms[model.slots[0] as usize..model.slots[1] as usize];
         let numbers = &self.numbers[model.start..][..model.length as usize + dimension];
         let (record, shift) = numbers.split_at(model.length as usize);
         self.scratch.resize(dimension, 0.0);
-        product::<FUSED>(record, factors, steps.all(), &mut self.scratch);
+        product::<FUSED>(record, terms, steps.all(), &mut self.scratch);
         let change = &mut self.scratch[..];
         change.iter_mut().zip(shift).for_each(|(c, s)| *c -= s);
         if model.bend == 0.0 && squared_norm(change) > trust.change * trust.change {

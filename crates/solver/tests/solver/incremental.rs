@@ -1,7 +1,7 @@
 //! Growing problems against cold solves of the same.
 
 use lsfb_geometry::{Se3, Vector2, Vector6};
-use lsfb_problems::walk::{Added, Target, Walk};
+use lsfb_problems::walk::{Added, Target, Walk, farthest_m, solve_to_the_last_digit};
 use lsfb_solver::{
     Diagnosis, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, SolveConfig,
     UpdateReport, VectorPrior, solve,
@@ -115,22 +115,11 @@ fn in_a_map_poses_are_those_of_the_optimum_and_work_does_not_grow() {
                 continue;
             }
             let mut optimum = growing.snapshot();
-            let config = SolveConfig {
-                cost_tolerance: 0.0,
-                gradient_tolerance: 0.0,
-                step_tolerance: 1e-13,
-                initial_damping: 1e-12,
-                max_iterations: 200,
-                diagnosis: Diagnosis::Off,
-                ..SolveConfig::default()
-            };
-            let least = solve(&mut optimum, &config).expect("solves").final_cost;
+            let least = solve_to_the_last_digit(&mut optimum).expect("solves");
             let above = growing.cost() / least - 1.0;
             assert!(above < 1e-8, "keyframe {k}: {above:.1e}");
-            let apart_m = added.poses.iter().map(|pose| {
-                (growing.value(*pose).translation - optimum.value(*pose).translation).norm()
-            });
-            let apart_m = apart_m.fold(0.0, f64::max);
+            let poses = added.poses.iter();
+            let apart_m = farthest_m(poses.map(|p| (growing.value(*p), optimum.value(*p))));
             assert!(apart_m < 1e-6, "keyframe {k}: {apart_m:.1e} m");
         }
         let mean = |range: std::ops::Range<usize>| {

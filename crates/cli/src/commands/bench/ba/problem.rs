@@ -1,7 +1,7 @@
 //! The problem that grows, solved in both ways.
 
 use lsfb_geometry::Se3;
-use lsfb_problems::walk::{Added, Target, Walk};
+use lsfb_problems::walk::{Added, Target, Walk, farthest_m, solve_to_the_last_digit};
 use lsfb_solver::{Diagnosis, Incremental, IncrementalConfig, Problem, SolveConfig, solve};
 use lsfb_types::Progress;
 
@@ -55,16 +55,14 @@ impl Grown {
             if (k + 1) % arguments.batch_every as usize == 0 || k + 1 == keyframes {
                 let (update, poses) = solve_whole(&walk, &added)?;
                 batch.updates.push(update);
-                poses_apart_m =
-                    added
-                        .poses
-                        .iter()
-                        .zip(&poses)
-                        .fold(poses_apart_m, |most, (block, pose)| {
-                            most.max((growing.value(*block).translation - pose.translation).norm())
-                        });
+                let ours = added.poses.iter().map(|block| growing.value(*block));
+                poses_apart_m = poses_apart_m.max(farthest_m(ours.zip(poses)));
             }
         }
+        anyhow::ensure!(
+            poses_apart_m.is_finite(),
+            "the incremental solution, or that from scratch, has a pose that is not a number"
+        );
         Ok(Self {
             problem: walk.to_text(),
             points: walk.points,
@@ -92,19 +90,11 @@ fn solve_whole(walk: &Walk, added: &Added) -> anyhow::Result<(Update, Vec<Se3>)>
     let begun = cpu_ms()?;
     solve(&mut problem, &config)?;
     let cpu_ms = cpu_ms()? - begun;
-    // A cost that no longer falls by 1e-12 of itself leaves poses micrometres from the optimum.
-    let to_the_last_digit = SolveConfig {
-        cost_tolerance: 0.0,
-        gradient_tolerance: 0.0,
-        step_tolerance: 1e-13,
-        initial_damping: 1e-12,
-        ..config
-    };
-    let optimum = solve(&mut problem, &to_the_last_digit)?;
+    let optimum = solve_to_the_last_digit(&mut problem)?;
     let update = Update {
         keyframe: added.poses.len(),
         cpu_ms,
-        cost: Some(optimum.final_cost),
+        cost: Some(optimum),
     };
     let poses = again.poses.iter().map(|pose| problem.value(*pose));
     Ok((update, poses.collect()))
