@@ -1,8 +1,4 @@
-//! Decoders from outside: what other programs make of the same packets.
+//! What stands beside the library: its examples and the rules that name devices.
 
 mod examples;
-mod hesai_reference;
-mod mip_recording;
 mod udev_rules;
-mod velodyne_recordings;
-mod velodyne_reference;

@@ -13,12 +13,8 @@ fuzz_target!(|data: &[u8]| {
         1 => drop(message::decode_imu(data)),
         2 => drop(message::decode_time_reference(data)),
         3 => {
-            for schema in [
-                message::LIDAR_PACKETS,
-                message::VELODYNE_SCAN,
-                message::PANDAR_SCAN,
-            ] {
-                drop(message::decode_lidar_packets(schema.name, data));
+            for schema in message::lidar_packet_types() {
+                drop(message::decode_lidar_packets(schema, data));
             }
         }
         4 => {

@@ -10,6 +10,7 @@
 mod bounds;
 mod packet;
 mod progress;
+mod ros_packets;
 mod sample;
 mod stamp_unit;
 mod statistics;
@@ -19,6 +20,7 @@ mod verdict;
 pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
+pub use ros_packets::RosPackets;
 pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
 pub use stamp_unit::StampUnit;
 pub use statistics::{median, quantile};

@@ -22,6 +22,8 @@
 mod decode;
 mod device;
 pub mod model;
+#[cfg(all(test, feature = "rosbag2"))]
+mod reference;
 pub mod wire;
 
 pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, is_beside, position, recognise};

@@ -10,6 +10,8 @@
 mod decode;
 mod device;
 pub mod model;
+#[cfg(test)]
+mod recordings;
 mod unit;
 pub mod wire;
 

@@ -22,6 +22,10 @@ mod layout;
 pub mod model;
 pub mod nmea;
 mod points;
+#[cfg(all(test, feature = "pcap", feature = "rosbag2"))]
+mod recordings;
+#[cfg(all(test, feature = "pcap", feature = "rosbag2"))]
+mod reference;
 pub mod settings;
 mod web;
 pub mod wire;

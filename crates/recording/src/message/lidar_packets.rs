@@ -1,37 +1,16 @@
-//! Data packets of a LiDAR, those of one revolution in a message: our own type, and those of two ROS drivers, which are read.
+//! Data packets of a LiDAR, those of one revolution in a message: our own type, and those of ROS drivers, which are read.
 
-use lsfb_types::{Packet, Timestamp};
+use lsfb_types::{Packet, RosPackets, Timestamp};
 
-use super::schema::{LIDAR_PACKETS, PANDAR_SCAN, Schema, VELODYNE_SCAN};
+use super::schema::LIDAR_PACKETS;
 use crate::cdr::{CdrError, CdrReader, CdrWriter, Layout};
 
-/// A message type of a ROS driver that holds packets, each in an array of one length.
-struct RosPackets {
-    schema: Schema,
-    /// Length of the array.
-    array_bytes: usize,
-    /// Whether a number behind the array says how much of it is the packet.
-    has_size: bool,
-}
-
-const ROS_PACKETS: [RosPackets; 2] = [
-    RosPackets {
-        schema: VELODYNE_SCAN,
-        array_bytes: 1206,
-        has_size: false,
-    },
-    RosPackets {
-        schema: PANDAR_SCAN,
-        array_bytes: 1500,
-        has_size: true,
-    },
-];
 /// A packet in a message takes a stamp and a length at least.
 const LEAST_PACKET_BYTES: usize = 12;
 
 /// Names of the types of messages that hold LiDAR packets that [`decode_lidar_packets`] reads: ours first.
 pub fn lidar_packet_types() -> impl Iterator<Item = &'static str> {
-    let others = ROS_PACKETS.iter().map(|known| known.schema.name);
+    let others = RosPackets::ALL.into_iter().map(|known| known.name);
     std::iter::once(LIDAR_PACKETS.name).chain(others)
 }
 
@@ -71,7 +50,7 @@ pub fn decode_packets_of(
     r.header()?;
     let count = r.u32("packets")? as usize;
     let mut packets = Vec::with_capacity(count.min(bytes.len() / LEAST_PACKET_BYTES));
-    let of_ros = ROS_PACKETS.iter().find(|known| known.schema.name == schema);
+    let of_ros = RosPackets::named(schema);
     for _ in 0..count {
         let arrival = r.time("packets.stamp")?;
         let data = match of_ros {

@@ -138,32 +138,6 @@ pub const LIDAR_PACKETS: Schema = Schema {
     ),
 };
 
-/// LiDAR data packets of Hesai's ROS driver; read, never written.
-pub const PANDAR_SCAN: Schema = Schema {
-    name: "pandar_msgs/msg/PandarScan",
-    text: concat!(
-        "std_msgs/Header header\npandar_msgs/PandarPacket[] packets\n",
-        dependency!(
-            "pandar_msgs/PandarPacket",
-            "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
-        ),
-        header!()
-    ),
-};
-
-/// LiDAR data packets of Velodyne's ROS driver and of recordings before version 2; read, never written.
-pub const VELODYNE_SCAN: Schema = Schema {
-    name: "velodyne_msgs/msg/VelodyneScan",
-    text: concat!(
-        "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
-        dependency!(
-            "velodyne_msgs/VelodynePacket",
-            "builtin_interfaces/Time stamp\nuint8[1206] data\n"
-        ),
-        header!()
-    ),
-};
-
 /// Bytes as a device sent them.
 pub const RAW_PACKET: Schema = Schema {
     name: "lsfb_msgs/msg/RawPacket",

@@ -1,46 +1,16 @@
-//! LiDAR packets out of rosbag2 sqlite files: CDR messages of the packet types of ROS drivers, which [`ScanType`] lists.
+//! LiDAR packets out of rosbag2 sqlite files: CDR messages of the packet types of ROS drivers, which [`RosPackets`] lists.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use lsfb_types::{Packet, Timestamp};
+use lsfb_types::{Packet, RosPackets, Timestamp};
 use rusqlite::{Connection, OpenFlags, OptionalExtension};
 
 use super::PacketSource;
 use crate::Error;
 
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
-
-/// A message type of a ROS driver that holds the packets of a revolution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ScanType {
-    /// `velodyne_msgs/msg/VelodyneScan`: packets of 1206 bytes.
-    Velodyne,
-    /// `pandar_msgs/msg/PandarScan`, of Hesai's sensors: room for 1500 bytes, and how many of them are the packet.
-    Pandar,
-}
-
-impl ScanType {
-    /// All that are read.
-    pub const ALL: [Self; 2] = [Self::Velodyne, Self::Pandar];
-
-    /// Its name in ROS.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Velodyne => "velodyne_msgs/msg/VelodyneScan",
-            Self::Pandar => "pandar_msgs/msg/PandarScan",
-        }
-    }
-
-    /// Bytes that each packet takes in a message.
-    const fn room(self) -> usize {
-        match self {
-            Self::Velodyne => 1206,
-            Self::Pandar => 1500,
-        }
-    }
-}
 
 /// One message: the packets of a revolution, as the recording driver grouped them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,7 +30,7 @@ pub struct BaggedScan {
 pub struct Rosbag2Source {
     path: PathBuf,
     database: Connection,
-    scan_type: ScanType,
+    scan_type: RosPackets,
     rows: VecDeque<i64>,
     waiting: VecDeque<Packet>,
 }
@@ -126,7 +96,7 @@ impl Rosbag2Source {
             .optional()
             .map_err(|error| damaged(error.to_string()))?;
         let (recorded, data) = message.ok_or_else(|| damaged("row is missing".into()))?;
-        let name = self.scan_type.name();
+        let name = self.scan_type.name;
         let scan = parse_scan(self.scan_type, Timestamp::from_nanos(recorded), &data)
             .ok_or_else(|| damaged(format!("{} bytes are not CDR {name}", data.len())))?;
         Ok(Some(scan))
@@ -143,9 +113,8 @@ struct Topic {
 }
 
 impl Topic {
-    fn scan_type(&self) -> Option<ScanType> {
-        let mut types = ScanType::ALL.into_iter();
-        types.find(|scan_type| scan_type.name() == self.type_name)
+    fn scan_type(&self) -> Option<RosPackets> {
+        RosPackets::named(&self.type_name)
     }
 }
 
@@ -169,7 +138,7 @@ fn topics(database: &Connection) -> rusqlite::Result<Vec<Topic>> {
 
 /// The one topic of scans. Where nothing says how its messages are serialized they are taken for CDR, which each message's head
 /// confirms or not.
-fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
+fn choose(topics: &[Topic]) -> Result<(i64, RosPackets), String> {
     let scans = || {
         let scans = topics.iter();
         scans.filter_map(|topic| Some((topic, topic.scan_type()?)))
@@ -193,7 +162,7 @@ fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
                 topic.serialization.as_deref().unwrap_or_default()
             ),
             None => {
-                let wanted = ScanType::ALL.map(ScanType::name).join(" or ");
+                let wanted = RosPackets::ALL.map(|known| known.name).join(" or ");
                 let there: Vec<_> = topics
                     .iter()
                     .map(|topic| format!("{} ({})", topic.name, topic.type_name))
@@ -222,7 +191,7 @@ impl PacketSource for Rosbag2Source {
     }
 }
 
-fn parse_scan(scan_type: ScanType, recorded: Timestamp, data: &[u8]) -> Option<BaggedScan> {
+fn parse_scan(scan_type: RosPackets, recorded: Timestamp, data: &[u8]) -> Option<BaggedScan> {
     let body = data.strip_prefix(&CDR_LITTLE_ENDIAN)?;
     let mut cdr = Cdr { body, at: 0 };
     let stamp = cdr.time()?;
@@ -231,16 +200,16 @@ fn parse_scan(scan_type: ScanType, recorded: Timestamp, data: &[u8]) -> Option<B
     let frame_id = std::str::from_utf8(frame_id).ok()?.to_owned();
     let count = cdr.u32()? as usize;
     // Each packet takes more than its payload: a larger count is damage, and must not reserve memory.
-    if count > body.len() / scan_type.room() {
+    if count > body.len() / scan_type.array_bytes {
         return None;
     }
     let mut packets = Vec::with_capacity(count);
     for _ in 0..count {
         let arrival = cdr.time()?;
-        let room = cdr.take(scan_type.room())?;
-        let bytes = match scan_type {
-            ScanType::Velodyne => room,
-            ScanType::Pandar => room.get(..cdr.u32()? as usize)?,
+        let array = cdr.take(scan_type.array_bytes)?;
+        let bytes = match scan_type.has_size {
+            true => array.get(..cdr.u32()? as usize)?,
+            false => array,
         };
         packets.push(Packet {
             arrival,

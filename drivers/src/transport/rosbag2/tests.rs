@@ -98,8 +98,9 @@ fn damaged_messages_and_files_say_where() {
         assert!(error.contains(message), "{error}");
     }
     assert_eq!(source.next_scan().unwrap(), None);
+    let velodyne = RosPackets::named("velodyne_msgs/msg/VelodyneScan").unwrap();
     for cut in 0..whole.len() {
-        assert!(parse_scan(ScanType::Velodyne, Timestamp::default(), &whole[..cut]).is_none());
+        assert!(parse_scan(velodyne, Timestamp::default(), &whole[..cut]).is_none());
     }
 
     let text = tempfile::NamedTempFile::new().unwrap();

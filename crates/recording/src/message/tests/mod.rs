@@ -180,7 +180,7 @@ fn velodyne_scan_pads_before_the_second_packet() {
     assert_eq!(bytes[..40], VELODYNE_SCAN_START);
     assert_eq!(bytes.len(), VELODYNE_SCAN_BYTES);
     assert_eq!(
-        decode_lidar_packets(VELODYNE_SCAN.name, &bytes).unwrap(),
+        decode_lidar_packets("velodyne_msgs/msg/VelodyneScan", &bytes).unwrap(),
         packets
     );
 }
@@ -202,12 +202,12 @@ fn a_pandar_scan_has_packets_as_long_as_it_says() {
         w.finish()
     };
     assert_eq!(
-        decode_lidar_packets(PANDAR_SCAN.name, &message([1080, 1198])).unwrap(),
+        decode_lidar_packets("pandar_msgs/msg/PandarScan", &message([1080, 1198])).unwrap(),
         packets
     );
     let field = "packets.size";
     assert_eq!(
-        decode_lidar_packets(PANDAR_SCAN.name, &message([1080, 1501])),
+        decode_lidar_packets("pandar_msgs/msg/PandarScan", &message([1080, 1501])),
         Err(CdrError::Value { field })
     );
 }

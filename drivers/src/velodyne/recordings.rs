@@ -8,17 +8,17 @@
 
 use std::time::Duration;
 
-use lsfb_drivers::Error;
-use lsfb_drivers::lidar::Counters;
-use lsfb_drivers::transport::PacketSource;
-use lsfb_drivers::transport::pcap::PcapSource;
-use lsfb_drivers::transport::rosbag2::Rosbag2Source;
-use lsfb_drivers::velodyne::model::{Model, Product};
-use lsfb_drivers::velodyne::nmea::Rmc;
-use lsfb_drivers::velodyne::wire::{
+use crate::Error;
+use crate::lidar::Counters;
+use crate::transport::PacketSource;
+use crate::transport::pcap::PcapSource;
+use crate::transport::rosbag2::Rosbag2Source;
+use crate::velodyne::model::{Model, Product};
+use crate::velodyne::nmea::Rmc;
+use crate::velodyne::wire::{
     DataPacket, PositionPacket, PpsStatus, Returns, identify, returns_of_code,
 };
-use lsfb_drivers::velodyne::{
+use crate::velodyne::{
     DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
 use lsfb_tests::recordings;

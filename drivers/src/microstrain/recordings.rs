@@ -7,8 +7,8 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_drivers::microstrain::wire::MipPacket;
-use lsfb_drivers::microstrain::{Decoder, MipCounters, MipReading};
+use crate::microstrain::wire::MipPacket;
+use crate::microstrain::{Decoder, MipCounters, MipReading};
 use lsfb_types::{Packet, Timestamp};
 
 fn stream(test: &str) -> Option<Vec<u8>> {

@@ -14,16 +14,14 @@ use std::io::Read;
 use std::path::Path;
 use std::time::Duration;
 
+use crate::Error;
+use crate::transport::PacketSource;
+use crate::transport::pcap::PcapSource;
+use crate::transport::rosbag2::Rosbag2Source;
+use crate::velodyne::model::{Model, Product};
+use crate::velodyne::wire::{DataPacket, Returns, returns_of_code};
+use crate::velodyne::{Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns};
 use flate2::read::DeflateDecoder;
-use lsfb_drivers::Error;
-use lsfb_drivers::transport::PacketSource;
-use lsfb_drivers::transport::pcap::PcapSource;
-use lsfb_drivers::transport::rosbag2::Rosbag2Source;
-use lsfb_drivers::velodyne::model::{Model, Product};
-use lsfb_drivers::velodyne::wire::{DataPacket, Returns, returns_of_code};
-use lsfb_drivers::velodyne::{
-    Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
-};
 use lsfb_tests::recordings as data;
 use lsfb_types::{Echo, LidarPoint, Packet};
 

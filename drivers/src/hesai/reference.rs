@@ -12,10 +12,10 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use lsfb_drivers::any_lidar::{Decoder, Model, Settings};
-use lsfb_drivers::hesai;
-use lsfb_drivers::lidar::{BeamAngles, ScanSettings};
-use lsfb_drivers::transport::rosbag2::Rosbag2Source;
+use crate::any_lidar::{Decoder, Model, Settings};
+use crate::hesai;
+use crate::lidar::{BeamAngles, ScanSettings};
+use crate::transport::rosbag2::Rosbag2Source;
 use lsfb_tests::recordings;
 use lsfb_types::{Echo, LidarPoint, LidarScan, Packet};
 
