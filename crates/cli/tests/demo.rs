@@ -159,7 +159,7 @@ fn somebody_heard_the_same(folder: &Path, trajectory: &[u8]) {
 }
 
 /// From the phone to the ground truth: played through the protocol, with cut connections and damaged messages, recorded by a rig,
-/// localized in the map and judged.
+/// solved as one with the walk itself, which each must be right for alone, and judged.
 fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
     let rig = SidecarRig::new();
     let (mut recorder, recording) = rig.recorder(0);
@@ -184,18 +184,11 @@ fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
     let walks = ["sidecar", "walks", &text(&recording), "--out", "walks"];
     let walks = json(folder, &walks, 0);
     let walk = walks["walks"][0]["path"].as_str().expect("a walk");
-    let estimate = "phone.tum";
-    json(
-        folder,
-        &["groundtruth", walk, "--map", "map", "--out", estimate],
-        0,
-    );
     let judged = |estimate: &str| {
         let judged = json(folder, &["eval", estimate, "--truth", &text(truth)], 0);
         let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
         assert!(rms_m.is_some_and(|rms_m| rms_m <= 0.03), "{judged}");
     };
-    judged(estimate);
     let line = format!("groundtruth {walk} --with walk.mcap --map map --out both.tum");
     let both = json(folder, &line.split(' ').collect::<Vec<_>>(), 0);
     let together = &both["together"];

@@ -25,6 +25,7 @@ mod prior;
 mod queries;
 mod ransac;
 mod refinement;
+mod scoring;
 mod sequence;
 mod shared_errors;
 mod upright;

@@ -11,6 +11,7 @@ use super::matches::{MountedCamera, PointMatch};
 use super::p3p::solve_p3p;
 use super::prior::PoseKnowledge;
 use super::refinement::{RefinementConfig, refine_pose};
+use super::scoring::Scoring;
 use super::upright::{SeenPoint, solve_upright};
 use crate::sampling::samples_needed;
 
@@ -107,6 +108,7 @@ pub fn estimate_known_pose(
     if samplable < 4 {
         return None;
     }
+    let scoring = Scoring::new(bearings.iter().map(|b| (&b.seen, b.limit)));
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut best: Option<(Se3, f64)> = None;
     let mut needed = config.max_samples;
@@ -136,13 +138,14 @@ pub fn estimate_known_pose(
                 continue;
             }
             let bound = best.as_ref().map_or(f64::INFINITY, |(_, score)| *score);
-            let Some(score) = score(&bearings, &rig_from_world, bound) else {
+            let Some(score) = scoring.score(&rig_from_world, bound) else {
                 continue;
             };
             best = Some(optimise(
                 cameras,
                 matches,
                 &bearings,
+                &scoring,
                 world_from_rig,
                 score,
                 config,
@@ -228,19 +231,6 @@ fn squared_sine(b: &Bearing, rotation: &nalgebra::Matrix3<f64>, translation: &Ve
     direction.cross(&seen.ray_in_rig).norm_squared() / direction.norm_squared()
 }
 
-/// Sum of squared errors in units of the limit, each at most 1; `None` as soon as it reaches `bound`.
-fn score(bearings: &[Bearing], rig_from_world: &Se3, bound: f64) -> Option<f64> {
-    let rotation = rig_from_world.rotation_matrix();
-    let mut sum = 0.0;
-    for b in bearings {
-        sum += (squared_sine(b, &rotation, &rig_from_world.translation) / b.limit).min(1.0);
-        if sum >= bound {
-            return None;
-        }
-    }
-    (sum < bearings.len() as f64).then_some(sum)
-}
-
 fn inliers<'a>(
     bearings: &'a [Bearing],
     rig_from_world: &Se3,
@@ -256,6 +246,7 @@ fn optimise(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
     bearings: &[Bearing],
+    scoring: &Scoring,
     start: Se3,
     start_score: f64,
     config: &RansacConfig,
@@ -268,7 +259,7 @@ fn optimise(
         let Some(refined) = refine_pose(cameras, &support, &best.0, &config.refinement) else {
             break;
         };
-        let Some(better) = score(bearings, &refined.world_from_rig.inverse(), best.1) else {
+        let Some(better) = scoring.score(&refined.world_from_rig.inverse(), best.1) else {
             break;
         };
         best = (refined.world_from_rig, better);
