@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use crate::answer::json;
+use crate::inlier_lines::hold_against_poses;
 use crate::refusal::refused;
-use lsfb_geometry::Vector3;
+use lsfb_geometry::{Rig, Vector3};
 use lsfb_recording::{Recording, read_tum};
 use lsfb_tests::recordings;
 use serde_json::Value;
@@ -192,6 +193,7 @@ fn an_office_is_recognised_by_every_fifth_image() {
     let share = found["right"].as_f64().expect("count") / found["images"].as_f64().expect("count");
     assert!(share >= 0.9, "{found}");
     a_folder_of_images_is_localized(folder.path(), Path::new(office));
+    drawings_say_what_was_answered(folder.path(), Path::new(office));
     poses_beside_images_change_nothing(folder.path(), office);
 }
 
@@ -220,6 +222,34 @@ fn poses_beside_images_change_nothing(folder: &Path, office: &str) {
     assert_eq!(poses(&posed), poses(&alone));
 }
 
+/// Focal lengths a twentieth too long: one of these images is localized by itself and refused among the others, and its drawing said
+/// "localized".
+fn drawings_say_what_was_answered(folder: &Path, office: &Path) {
+    let long = folder.join("long");
+    std::fs::create_dir(&long).expect("folder");
+    for name in ["00008", "00133", "00196", "00259", "00323"].map(|n| format!("{n}.jpg")) {
+        let image = office.join("images").join(&name);
+        std::fs::copy(image, long.join(name)).expect("an image");
+    }
+    let intrinsics = std::fs::read_to_string(office.join("K.txt")).expect("intrinsics");
+    let k = intrinsics.split_whitespace().enumerate().map(|(i, v)| {
+        let value: f64 = v.parse().expect("a number");
+        let factor = if matches!(i, 0 | 4) { 1.05 } else { 1.0 };
+        (factor * value).to_string()
+    });
+    std::fs::write(long.join("K.txt"), k.collect::<Vec<_>>().join(" ")).expect("intrinsics");
+    let mut arguments = vec!["localize", "office-map", "long", "--explain", "2"];
+    arguments.extend(["--out-drawing", "long.svg", "--out-report", "long.html"]);
+    let found = json(folder, &arguments, 4);
+    let reason = found["frames"][2]["reason"].as_str().expect("a reason");
+    assert!(reason.contains("of 5 images of the camera"), "{found}");
+    for name in ["long.svg", "long.html"] {
+        let text = std::fs::read_to_string(folder.join(name)).expect("a file");
+        assert!(text.contains(&format!(">00196.jpg: {reason}: ")), "{name}");
+        assert!(text.matches("stroke=\"lime\"").count() > 30, "{name}");
+    }
+}
+
 /// Images without poses: a line for each, a drawing, and intrinsics of another size refused.
 fn a_folder_of_images_is_localized(folder: &Path, office: &Path) {
     let photos = folder.join("photos");
@@ -234,7 +264,8 @@ fn a_folder_of_images_is_localized(folder: &Path, office: &Path) {
     let intrinsics = std::fs::read_to_string(office.join("K.txt")).expect("intrinsics");
     std::fs::write(photos.join("K.txt"), &intrinsics).expect("intrinsics");
     let arguments = ["localize", "office-map", "photos"];
-    let found = json(folder, &[&arguments[..], &["--out", "a.csv"]].concat(), 0);
+    let written = ["--out", "a.csv", "--out-matches", "a_matches.csv"];
+    let found = json(folder, &[&arguments[..], &written].concat(), 0);
     assert_eq!(found["localized"], 2, "{found}");
     let frames = found["frames"].as_array().expect("frames");
     for frame in &frames[..2] {
@@ -251,6 +282,10 @@ fn a_folder_of_images_is_localized(folder: &Path, office: &Path) {
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 4);
     assert_eq!(fields(lines[1]), fields(lines[0]));
+    // The camera of the map's own images is the one that was found with these.
+    let rig = Rig::read(&folder.join("office-map/rig.toml")).expect("a rig");
+    let [poses, matches] = ["a.csv", "a_matches.csv"].map(|name| folder.join(name));
+    assert!(hold_against_poses(&poses, &matches, &rig) > 60);
 
     let drawing = ["--explain", "1", "--out-drawing", "a.svg"];
     json(folder, &[&arguments[..], &drawing].concat(), 0);
