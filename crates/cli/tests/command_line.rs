@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use crate::answer::json;
+use crate::inlier_lines::hold_against_poses;
 use crate::process::lsfb;
 use crate::refusal::refused;
 use crate::session::with;
@@ -526,12 +527,17 @@ fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
         0,
     );
     // None of these few small images is found, which is no success; what was matched is written.
-    run("localize map walk.mcap --out walk.tum", 4);
+    run(
+        "localize map walk.mcap --out walk.tum --out-matches walk.csv",
+        4,
+    );
     run("localize map imported.mcap --out imported.tum", 4);
     let found = |name: &str| std::fs::read_to_string(path.join(name)).expect("a table");
     assert_eq!(found("walk.tum"), found("imported.tum"));
     // A line per instant: what was matched, whether or not it was enough here.
     assert!(found("walk.tum").lines().count() > 10);
+    let [poses, matches] = ["walk.tum", "walk.csv"].map(|name| path.join(name));
+    assert!(hold_against_poses(&poses, &matches, &rig) > 10);
 
     // The same folder as images, each for itself: its cameras are those of the rig by their names.
     run(

@@ -21,6 +21,7 @@ mod dataset;
 mod demo;
 mod import;
 mod imu_noise;
+mod inlier_lines;
 mod joint;
 mod lidar_input;
 mod models;

@@ -71,6 +71,72 @@ fn weights_are_added_checked_and_refused() {
     assert_eq!(checked.status.code(), Some(4), "{}", said(&checked));
 }
 
+/// Weights of a network whose published hash nobody knows were never listed as added, and its name was no feature; exports of published ones
+/// were strangers.
+#[test]
+fn weights_of_unknown_hash_are_listed_and_exports_are_known() {
+    let scratch = tempfile::tempdir().expect("folder");
+    let models = scratch.path().join("models");
+    let test = "weights_of_unknown_hash_are_listed_and_exports_are_known";
+    let exported =
+        ["xfeat.onnx", "superpoint_arch_random.onnx"].map(|f| published_weights(test, f));
+    let [Some(xfeat), Some(superpoint)] = exported else {
+        return;
+    };
+    let added = lsfb(&models, &["models", "add", &xfeat.display().to_string()]);
+    assert!(said(&added).contains("as published"), "{}", said(&added));
+    assert!(models.join("xfeat.safetensors").is_file());
+
+    let superpoint = superpoint.display().to_string();
+    let add = ["models", "add", &superpoint, "--force-unknown"];
+    assert!(lsfb(&models, &add).status.success());
+    let listed = lsfb(&models, &["models", "list"]);
+    let lines: Vec<String> = said(&listed).lines().map(str::to_owned).collect();
+    let line = |name: &str| lines.iter().find(|l| l.starts_with(name)).expect("listed");
+    let at = format!("added to {}; there: ", models.display());
+    let expected = format!("{at}xfeat (SHA-256 1d65ea24…, as published)");
+    assert!(line("xfeat:").ends_with(&expected), "{lines:?}");
+    let own = line("superpoint:");
+    assert!(own.contains(&format!("{at}superpoint-")), "{own}");
+    assert!(
+        own.ends_with("not published, from superpoint_arch_random.onnx)"),
+        "{own}"
+    );
+    assert!(line("superpoint-open:").contains("not added"));
+
+    // Both are features by the names of their networks; with two sets of weights of one, its name is not enough.
+    let [images, map] = ["images", "map"].map(|n| scratch.path().join(n).display().to_string());
+    let refused = |feature: &str, words: &str| {
+        let arguments = [
+            "map",
+            "--posed-images",
+            &images,
+            "--out",
+            &map,
+            "--feature",
+            feature,
+        ];
+        let output = lsfb(&models, &arguments);
+        assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+        assert!(
+            said(&output).contains(words),
+            "{feature}: {}",
+            said(&output)
+        );
+    };
+    refused("xfeat", "no such file");
+    refused("superpoint", "no such file");
+    refused("superpoint-open", "its weights are not in");
+    let own = std::fs::read_dir(&models)
+        .expect("a folder")
+        .map(|e| e.expect("an entry").path());
+    let own = own.filter(|path| path.extension().is_some_and(|e| e == "safetensors"));
+    let own = own.filter(|path| path.display().to_string().contains("superpoint-"));
+    let own: Vec<_> = own.collect();
+    std::fs::copy(&own[0], models.join("superpoint-0123abcd.safetensors")).expect("copied");
+    refused("superpoint", "choose one: superpoint-0123abcd, superpoint-");
+}
+
 /// The option stood in a struct that was never there: `lsfb map` said "give a recording" to whoever gave images.
 #[test]
 fn map_takes_a_feature_and_names_those_there_are() {

@@ -69,9 +69,6 @@ pub enum Damage {
     /// An archive without weights in it.
     #[error("holds no weights")]
     NoWeights,
-    /// A file of PyTorch before 1.6.
-    #[error("was written by a PyTorch before 1.6: load it there and save it again")]
-    OldTorch,
     /// An ONNX file of a network that is not known, or one put together otherwise.
     #[error(
         "is an ONNX graph of an unsupported network (supported: XFeat, ALIKE, SuperPoint): found \

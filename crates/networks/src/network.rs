@@ -122,7 +122,7 @@ impl Network {
         };
         Ok(Self {
             model,
-            weights_sha256: weights.sha256(),
+            weights_sha256: model.known_by(&weights.sha256()).to_owned(),
             is_published_file: false,
             weights,
             layers,
@@ -139,7 +139,8 @@ impl Network {
         self.model
     }
 
-    /// SHA-256 of its weights, as hexadecimal digits: the same whatever file they come from.
+    /// SHA-256 of its weights, as hexadecimal digits: the same whatever file they come from, and that of the published ones for an export
+    /// of these with normalisation folded in, which is the same network.
     pub fn weights_sha256(&self) -> &str {
         &self.weights_sha256
     }

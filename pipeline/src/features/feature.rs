@@ -1,5 +1,6 @@
 use std::fmt;
 
+use lsfb_networks::Model;
 use serde::{Deserialize, Serialize};
 
 /// What descriptors are of: only those of one feature can be compared.
@@ -20,6 +21,18 @@ pub struct LearnedFeature {
     pub model: String,
     /// SHA-256 of its weights, as hexadecimal digits: the same network with other weights is another feature.
     pub weights_sha256: String,
+}
+
+impl LearnedFeature {
+    /// By the hash under which its weights are known now: maps were made under that of folded ones.
+    pub(crate) fn as_known(self) -> Self {
+        let known = Model::named(&self.model).map(|model| model.known_by(&self.weights_sha256));
+        let weights_sha256 = known.unwrap_or(&self.weights_sha256).to_owned();
+        Self {
+            weights_sha256,
+            ..self
+        }
+    }
 }
 
 impl fmt::Display for Feature {

@@ -226,10 +226,9 @@ impl HdMap {
     /// the files into memory.
     pub fn open(folder: &Path) -> Result<Self, Error> {
         let header = read_header(folder)?;
-        let feature = header
-            .learned
-            .clone()
-            .map_or(Feature::Sift, Feature::Learned);
+        let feature = header.learned.clone().map_or(Feature::Sift, |learned| {
+            Feature::Learned(learned.as_known())
+        });
         let rig = open_rig(folder, &header, RIG)?;
         let stated = match header.files.iter().any(|f| f.name == STATED) {
             true => open_rig(folder, &header, STATED)?.cameras,

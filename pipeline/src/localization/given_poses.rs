@@ -347,6 +347,7 @@ mod tests {
             point,
             frame: 0,
             keypoint: point,
+            pixel: frames[0].features.keypoints[point as usize].pixel,
         });
         let pose = GuidedPose {
             // Where the points have it.

@@ -135,12 +135,14 @@ impl Query<'_> {
                 config.matching,
             );
             found.extend(matches.iter().map(|m| {
+                let keypoint = &frame.features.keypoints[m.second as usize];
                 let pair = FeatureMatch {
                     point: visible[m.first as usize],
                     frame: index,
                     keypoint: m.second,
+                    pixel: keypoint.pixel,
                 };
-                let seen = frame.features.keypoints[m.second as usize].pixel_f64();
+                let seen = keypoint.pixel_f64();
                 (pair, (predictions[m.first as usize].pixel - seen).norm())
             }));
         }

@@ -6,7 +6,7 @@ use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReaso
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
 
 keep_fields! {
-    FeatureMatch { point, frame, keypoint }
+    FeatureMatch { point, frame, keypoint, pixel }
     JointFocalLength { log_scale, log_sigma, images }
     Localization { world_from_rig, covariance, matches, reprojection_rms_px, votes, evidence, probability }
     NotLocalized { reason }

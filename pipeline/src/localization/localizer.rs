@@ -393,6 +393,7 @@ impl Localizer {
                     point: c.point,
                     frame,
                     keypoint: keypoint as u32,
+                    pixel: query.frames[frame].features.keypoints[keypoint].pixel,
                 }));
                 distances.extend(here.map(|c| c.distance_squared));
             }

@@ -11,6 +11,7 @@ mod covariance;
 mod elsewhere;
 mod expected;
 mod focal_length;
+mod generalized_p3p;
 mod given_poses;
 mod guided_matching;
 mod joint_focal_length;

@@ -8,7 +8,7 @@ use super::acceptance::Evidence;
 use super::joint_focal_length::JointFocalLength;
 
 /// A feature that shows a map point.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureMatch {
     /// Index of the map point.
     pub point: u32,
@@ -16,6 +16,8 @@ pub struct FeatureMatch {
     pub frame: usize,
     /// Index of its keypoint.
     pub keypoint: u32,
+    /// Where that is, x right and y down.
+    pub pixel: [f32; 2],
 }
 
 /// A pose in the map.

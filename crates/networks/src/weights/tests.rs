@@ -91,11 +91,53 @@ fn functions_named_in_a_file_are_not_called() {
 
 /// Expected: `git hash-object`.
 #[test]
-fn files_are_known_to_git_and_old_ones_by_their_first_bytes() {
+fn files_are_known_to_git() {
     let known = "ce013625030ba8dba906f756967f9e9ca394464a";
     assert_eq!(git_hash(b"hello\n"), known);
-    let old = [&OLD_TORCH[..], b".\x80\x02"].concat();
-    assert_eq!(Weights::parse(&old), Err(Damage::OldTorch));
+}
+
+/// What PyTorch before 1.6 writes of the same weights and a counter of 64 bits, by Python's own pickle, protocol 2.
+const OLD_FILE: &[u8] = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\0(X\x10\0\0\0protocol_versionq\
+\x01M\xe9\x03X\x0d\0\0\0little_endianq\x02\x88X\n\0\0\0type_sizesq\x03}q\x04(X\x05\0\0\0shortq\x05K\
+\x02X\x03\0\0\0intq\x06K\x04X\x04\0\0\0longq\x07K\x04uu.\x80\x02ccollections\nOrderedDict\nq\0)Rq\
+\x01(X\x05\0\0\0stepsq\x02ctorch._utils\n_rebuild_tensor_v2\nq\x03((X\x07\0\0\0storageq\x04ctorch\nL\
+ongStorage\nq\x05X\x01\0\0\07q\x06X\x03\0\0\0cpuq\x07K\x01Ntq\x08QK\0))\x89h\0)Rq\x09tq\nRq\x0bX\x08\
+\0\0\0a.weightq\x0ch\x03((h\x04ctorch\nFloatStorage\nq\x0dX\x01\0\0\09q\x0eh\x07K\x07Ntq\x0fQK\0K\
+\x01\x85q\x10h\x10\x89h\0)Rq\x11tq\x12Rq\x13X\x01\0\0\0bq\x14h\x03((h\x04h\x0dh\x0eh\x07K\x07Ntq\x15\
+QK\x01K\x02K\x03\x86q\x16K\x03K\x01\x86q\x17\x89h\0)Rq\x18tq\x19Rq\x1au.\x80\x02]q\0(X\x01\0\0\07q\
+\x01X\x01\0\0\09q\x02e.\x01\0\0\0\0\0\0\0{\0\0\0\0\0\0\0\x07\0\0\0\0\0\0\0\0\0(B\0\0\x80?\0\0\0\xc0\
+\0\0\0?_p\x890\x18\x0d\x8fM\0\0\xe0@";
+
+#[test]
+fn files_of_old_torch_hold_the_same_weights() {
+    assert_eq!(Weights::parse(OLD_FILE), Ok(vec![some_weights()]));
+    for end in 0..OLD_FILE.len() {
+        assert!(Weights::parse(&OLD_FILE[..end]).is_err(), "{end}");
+    }
+    for at in 0..OLD_FILE.len() {
+        for bit in [0x01, 0x80, 0xff] {
+            let mut torn = OLD_FILE.to_vec();
+            torn[at] ^= bit;
+            // Whatever it says then, it ends.
+            let _ = Weights::parse(&torn);
+        }
+    }
+}
+
+/// Python 2 writes texts with a length of one byte, and an ordered dictionary as a list of lists.
+#[test]
+fn files_of_old_torch_and_python_2_hold_the_same_weights() {
+    let mut file = OLD_TORCH.to_vec();
+    file.extend(b"\x80\x02M\xe9\x03.\x80\x02}.\x80\x02ccollections\nOrderedDict\n](](U\x01bctorch._utils\n_rebuild_tensor_v2\n((");
+    file.extend(
+        b"U\x07storagectorch\nFloatStorage\nU\x019U\x03cpuK\x06NtQK\x00K\x02K\x03\x86K\x03K\x01\x86\x89)tRee\x85R.",
+    );
+    file.extend(b"\x80\x02](U\x019e.\x06\0\0\0\0\0\0\0");
+    let weights = some_weights();
+    let values = weights.tensor("b", &[2, 3]).expect("there");
+    file.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    let expected = weights.only(&["b".to_owned()]);
+    assert_eq!(Weights::parse(&file), Ok(vec![expected]));
 }
 
 #[test]

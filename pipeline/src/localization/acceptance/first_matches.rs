@@ -139,7 +139,7 @@ pub(in crate::localization) struct Agreement {
 
 /// Matches that determine a pose.
 const SAMPLE: usize = 3;
-/// Poses at most of three matches.
+/// Poses at most of three matches of one camera; of several cameras, where a few matches are all, there may be twice as many, a third of a decade.
 const POSES_PER_SAMPLE: f64 = 4.0;
 
 impl Agreement {

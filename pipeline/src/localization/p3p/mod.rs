@@ -299,15 +299,24 @@ fn pose_from_distances(
         rays[1] * lambda[1],
         rays[2] * lambda[2],
     ];
-    let rotation = triangle_frame(&seen)? * triangle_frame(points)?.transpose();
+    pose_of_triangle(&seen, points, lambda.norm())
+}
+
+/// The pose that moves a triangle onto another of the same shape; `None` where theirs differ, at such distances, or either is none.
+pub(super) fn pose_of_triangle(
+    seen: &[Vector3<f64>; 3],
+    points: &[Vector3<f64>; 3],
+    distance: f64,
+) -> Option<Se3> {
+    let rotation = triangle_frame(seen)? * triangle_frame(points)?.transpose();
     let rotation =
         UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     let centre = |p: &[Vector3<f64>; 3]| (p[0] + p[1] + p[2]) / 3.0;
-    let translation = centre(&seen) - rotation * centre(points);
+    let translation = centre(seen) - rotation * centre(points);
     let shape_error: f64 = (0..3)
         .map(|i| (rotation * points[i] + translation - seen[i]).norm())
         .sum();
-    (shape_error < 1e-4 * lambda.norm()).then(|| Se3::new(rotation, translation))
+    (shape_error < 1e-4 * distance).then(|| Se3::new(rotation, translation))
 }
 
 /// An orthonormal frame fixed to a triangle.

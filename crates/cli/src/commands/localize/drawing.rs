@@ -5,10 +5,13 @@ use std::fmt::Write;
 use anyhow::Context as _;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use lsfb_geometry::{Camera, Rig, Se3};
-use lsfb_pipeline::features::{FeatureDetector, FrameFeatures};
-use lsfb_pipeline::localization::{Localization, Localizer, NotLocalized};
+use lsfb_geometry::{Rig, Vector2};
+use lsfb_pipeline::features::{FeatureDetector, Features};
+use lsfb_pipeline::localization::{FeatureMatch, Localizer};
 use lsfb_types::Image;
+
+use super::frames::Frame;
+use super::matches::{Inliers, PosedCamera};
 
 /// The images of a frame, by camera.
 pub struct Shown<'a> {
@@ -21,20 +24,14 @@ pub struct Shown<'a> {
 /// Height of the line of text below the images, pixels.
 const CAPTION_PX: u32 = 24;
 
-/// The images, one below the other, with all features (grey), the inliers of the best pose (green), and lines from those to where the
-/// pose expects their points (red), ten times as long. The picture holds the images, and fetches nothing.
+/// The images, one below the other, with all features (grey), the inliers of the best pose that the frame was answered with (green), and
+/// lines from those to where the pose expects their points (red), ten times as long. The picture holds the images, and fetches nothing.
 pub fn draw(
     localizer: &Localizer,
     detector: &mut FeatureDetector,
     shown: &Shown,
+    (frame, inliers): (&Frame, &Inliers),
 ) -> anyhow::Result<String> {
-    let detected = shown.images.iter().map(|(camera, image)| FrameFeatures {
-        camera: camera.clone(),
-        features: detector.detect(image),
-    });
-    let frames: Vec<FrameFeatures> = detected.collect();
-    let found = localizer.localize(&frames, shown.rig);
-    let best = found.as_ref().map_or_else(NotLocalized::best, Some);
     let width = shown.images.iter().map(|(_, i)| i.width).max().unwrap_or(0);
     let height: u32 = shown.images.iter().map(|(_, i)| i.height).sum();
     let mut svg = format!(
@@ -43,11 +40,8 @@ pub fn draw(
         height + CAPTION_PX,
     );
     let mut top = 0;
-    for (index, ((camera, image), frame)) in shown.images.iter().zip(&frames).enumerate() {
-        let mounted = shown.rig.cameras.get(camera);
-        let mounted = mounted.with_context(|| format!("camera {camera} is not on the rig"))?;
-        // As the pose was found.
-        let mounted = localizer.map().as_found(camera, mounted);
+    for (camera, image) in &shown.images {
+        let features = detector.detect(image);
         let _ = writeln!(
             svg,
             "<g transform=\"translate(0 {top})\"><image href=\"data:image/png;base64,{}\" x=\"-0.5\" y=\"-0.5\" \
@@ -56,16 +50,19 @@ pub fn draw(
             image.width,
             image.height,
         );
-        for keypoint in &frame.features.keypoints {
+        for keypoint in &features.keypoints {
             let [x, y] = keypoint.pixel;
             let _ = writeln!(
                 svg,
                 r#"<circle cx="{x:.1}" cy="{y:.1}" r="1" fill="silver"/>"#
             );
         }
-        if let Some(best) = best {
-            let (lens, place) = (&mounted.camera, &mounted.rig_from_camera);
-            inliers(&mut svg, localizer, best, (index, frame), (lens, place));
+        if let Some(pose) = &frame.pose {
+            let posed = PosedCamera::new(localizer, shown.rig, camera, &pose.world_from_rig());
+            let posed = posed.with_context(|| format!("camera {camera} is not on the rig"))?;
+            for m in inliers.of_camera(camera) {
+                draw_inlier(&mut svg, localizer, &posed, &features, m);
+            }
         }
         svg.push_str("</g>\n");
         top += image.height;
@@ -74,19 +71,18 @@ pub fn draw(
         svg,
         r#"<text x="4" y="{}" font-family="sans-serif" font-size="12">{}</text></svg>"#,
         height + CAPTION_PX - 8,
-        escaped(&format!("{}: {}", shown.name, caption(&found)))
+        escaped(&format!("{}: {}", shown.name, caption(frame)))
     );
     Ok(svg)
 }
 
-fn caption(found: &Result<Localization, NotLocalized>) -> String {
-    let said = match found {
-        Ok(_) => "localized".to_owned(),
-        Err(refused) => refused.to_string(),
+fn caption(frame: &Frame) -> String {
+    let said = match frame.localized {
+        true => "localized",
+        false => frame.reason.as_deref().unwrap_or_default(),
     };
-    let best = found.as_ref().map_or_else(NotLocalized::best, Some);
-    let Some(best) = best else {
-        return said;
+    let Some(best) = &frame.pose else {
+        return said.to_owned();
     };
     let e = &best.evidence;
     format!(
@@ -114,34 +110,32 @@ fn encoded(image: &Image) -> anyhow::Result<Vec<u8>> {
 /// How much longer than they are errors are drawn.
 const MAGNIFIED: f64 = 10.0;
 
-fn inliers(
+fn draw_inlier(
     svg: &mut String,
     localizer: &Localizer,
-    best: &Localization,
-    (index, frame): (usize, &FrameFeatures),
-    (camera, rig_from_camera): (&Camera, &Se3),
+    camera: &PosedCamera,
+    features: &Features,
+    inlier: &FeatureMatch,
 ) {
-    let camera_from_world = (best.world_from_rig * *rig_from_camera).inverse();
-    for m in best.matches.iter().filter(|m| m.frame == index) {
-        let keypoint = &frame.features.keypoints[m.keypoint as usize];
-        let seen = keypoint.pixel_f64();
-        let point = localizer.map().position(m.point);
-        let Some(expected) = point.and_then(|p| camera.project(&(camera_from_world * p))) else {
-            continue;
-        };
-        let end = seen + (expected - seen) * MAGNIFIED;
-        let _ = writeln!(
-            svg,
-            r#"<circle cx="{:.1}" cy="{:.1}" r="{:.1}" fill="none" stroke="lime"/><line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" stroke="red"/>"#,
-            seen.x,
-            seen.y,
-            keypoint.scale_px.max(1.5),
-            seen.x,
-            seen.y,
-            end.x,
-            end.y
-        );
-    }
+    let [x, y] = inlier.pixel.map(f64::from);
+    let seen = Vector2::new(x, y);
+    let point = localizer.map().position(inlier.point);
+    let Some(expected) = point.and_then(|point| camera.project(&point)) else {
+        return;
+    };
+    let end = seen + (expected - seen) * MAGNIFIED;
+    let keypoint = features.keypoints.get(inlier.keypoint as usize);
+    let _ = writeln!(
+        svg,
+        r#"<circle cx="{:.1}" cy="{:.1}" r="{:.1}" fill="none" stroke="lime"/><line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" stroke="red"/>"#,
+        seen.x,
+        seen.y,
+        keypoint.map_or(0.0, |k| k.scale_px).max(1.5),
+        seen.x,
+        seen.y,
+        end.x,
+        end.y
+    );
 }
 
 fn escaped(text: &str) -> String {

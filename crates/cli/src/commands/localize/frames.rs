@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use lsfb_geometry::Se3;
+use lsfb_geometry::{Quaternion, Se3, UnitQuaternion, Vector3};
 use lsfb_pipeline::localization::{
     Evidence, JointFocalLength, JointVerdict, Localization, NotLocalized, NotLocalizedReason,
 };
@@ -102,6 +102,15 @@ impl Pose {
             evidence: found.evidence,
         }
     }
+
+    /// Pose of the rig, of the very numbers that are written.
+    pub fn world_from_rig(&self) -> Se3 {
+        let rotation = Quaternion::from(self.rotation_xyzw);
+        Se3::new(
+            UnitQuaternion::new_unchecked(rotation),
+            Vector3::from(self.translation_m),
+        )
+    }
 }
 
 /// Judges the focal length of a camera by all of its frames, as [`lsfb_pipeline::localization::judge_together`] does.
@@ -143,12 +152,7 @@ pub fn csv(frames: &[Frame]) -> String {
     }
     text.push_str(",reason\n");
     for frame in frames {
-        let quoted = |text: &str| format!("\"{}\"", text.replace('"', "'"));
-        let name = match frame.frame.contains([',', '"']) {
-            true => quoted(&frame.frame),
-            false => frame.frame.clone(),
-        };
-        let mut fields = vec![name, u8::from(frame.localized).to_string()];
+        let mut fields = vec![field(&frame.frame), u8::from(frame.localized).to_string()];
         match &frame.pose {
             Some(pose) => fields.extend(pose.fields()),
             None => fields.resize(EMPTY_FIELDS, String::new()),
@@ -159,6 +163,18 @@ pub fn csv(frames: &[Frame]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// A name as a field of a line: quoted where it must be.
+pub fn field(name: &str) -> String {
+    match name.contains([',', '"']) {
+        true => quoted(name),
+        false => name.to_owned(),
+    }
+}
+
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('"', "'"))
 }
 
 /// Fields of a line before the reason.

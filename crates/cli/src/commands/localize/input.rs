@@ -19,7 +19,8 @@ use super::Arguments;
 use super::drawing::Shown;
 use super::folder;
 use super::frames::{self, Frame};
-use super::unfinished::{Asked, Unfinished};
+use super::matches::Inliers;
+use super::unfinished::{Answer, Asked, Unfinished};
 use crate::context::Context;
 
 /// The map's folder and the path of what is localized.
@@ -142,28 +143,18 @@ impl Input {
         }
     }
 
-    /// A folder of images reduced to one of them.
-    pub fn only(self, frame: usize) -> anyhow::Result<Self> {
+    /// How many frames there are; `None` of a walk, whose images are yet to be read.
+    pub fn count(&self) -> Option<usize> {
         match self {
-            Self::Images {
-                rig,
-                images,
-                names,
-                listed,
-            } => {
-                let count = images.len();
-                let image = images.into_iter().nth(frame);
-                let image = image.with_context(|| {
-                    format!("--explain {frame}: there are {count} images, counted from 0")
-                })?;
-                Ok(Self::Images {
-                    rig,
-                    images: vec![image],
-                    names: names.into_iter().skip(frame).take(1).collect(),
-                    listed: listed.map(|poses| poses.into_iter().skip(frame).take(1).collect()),
-                })
-            }
-            walk @ Self::Walk { .. } => Ok(walk),
+            Self::Images { images, .. } => Some(images.len()),
+            Self::Walk { .. } => None,
+        }
+    }
+
+    /// The rig that took the images.
+    pub fn rig(&self) -> &Rig {
+        match self {
+            Self::Images { rig, .. } | Self::Walk { rig, .. } => rig,
         }
     }
 
@@ -223,7 +214,7 @@ impl Input {
                         listed,
                     })
                     .collect();
-                let localize = |done: usize, part: &[Asked]| -> anyhow::Result<Vec<Frame>> {
+                let localize = |done: usize, part: &[Asked]| -> anyhow::Result<Vec<Answer>> {
                     let show = |p: Progress| {
                         context.show(Progress {
                             done: done as u64 + p.done,
@@ -233,15 +224,18 @@ impl Input {
                     };
                     let queries: Vec<QueryImage> = part.iter().map(|a| a.image.clone()).collect();
                     let found = localize_images(localizer, rig, &queries, detector, &show)?;
-                    let frames = part.iter().zip(&found).map(|(asked, found)| {
-                        Frame::new(asked.name.to_owned(), found, asked.listed)
+                    let answers = part.iter().zip(&found).map(|(asked, found)| Answer {
+                        frame: Frame::new(asked.name.to_owned(), found, asked.listed),
+                        inliers: Inliers::new(vec![asked.image.camera.clone()], found),
                     });
-                    Ok(frames.collect())
+                    Ok(answers.collect())
                 };
-                let mut frames = match kept.images {
+                let answers = match kept.images {
                     Some(unfinished) => unfinished.complete(&asked, localize)?,
                     None => localize(0, &asked)?,
                 };
+                let answers = answers.into_iter().map(|a| (a.frame, a.inliers));
+                let (mut frames, inliers): (Vec<Frame>, Vec<Inliers>) = answers.unzip();
                 let mut of_camera: BTreeMap<&str, Vec<&mut Frame>> = BTreeMap::new();
                 for (image, frame) in images.iter().zip(&mut frames) {
                     of_camera.entry(&image.camera).or_default().push(frame);
@@ -253,6 +247,7 @@ impl Input {
                     damaged: frames.iter().filter(|f| f.unreadable).count() as u64,
                     times: Vec::new(),
                     frames,
+                    inliers,
                 })
             }
             Self::Walk { walk, .. } => {
@@ -260,14 +255,19 @@ impl Input {
                 let found =
                     localize_recording_in_stages(localizer, walk, detector, kept.walk, &show);
                 let found = kept.walk.kept_if_stopped(found)?;
-                let frames = found.instants.iter();
-                Ok(Found {
-                    frames: frames
-                        .map(|f| Frame::new(f.time.to_string(), &f.found, None))
-                        .collect(),
+                let mut answers = Found {
+                    frames: Vec::with_capacity(found.instants.len()),
+                    inliers: Vec::with_capacity(found.instants.len()),
                     times: found.instants.iter().map(|f| f.time).collect(),
                     damaged: found.damaged,
-                })
+                };
+                for instant in found.instants {
+                    let frame = Frame::new(instant.time.to_string(), &instant.found, None);
+                    answers.frames.push(frame);
+                    let inliers = Inliers::new(instant.cameras, &instant.found);
+                    answers.inliers.push(inliers);
+                }
+                Ok(answers)
             }
         }
     }
@@ -291,6 +291,8 @@ fn made_from(map: &Path, rig: &Rig, config: &LocalizerConfig) -> anyhow::Result<
 /// The frames, and how many images or messages were damaged.
 pub struct Found {
     pub frames: Vec<Frame>,
+    /// Of each frame.
+    pub inliers: Vec<Inliers>,
     /// Of the instants of a walk.
     pub times: Vec<Timestamp>,
     pub damaged: u64,

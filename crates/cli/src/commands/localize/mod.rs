@@ -4,6 +4,7 @@ mod drawing;
 mod folder;
 mod frames;
 mod input;
+mod matches;
 mod page;
 mod unfinished;
 
@@ -44,6 +45,7 @@ use unfinished::Unfinished;
 ///   lsfb localize map walk.mcap --out walk.csv
 ///   lsfb localize map photos --rig phone.toml --out photos.csv
 ///   lsfb localize map photos --explain 12 --out-drawing 12.svg
+///   lsfb localize map walk.mcap --out walk.csv --out-matches walk_matches.csv
 ///   lsfb localize --posed-images hololens_office --every 5 --map office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
@@ -71,6 +73,10 @@ pub struct Arguments {
     /// Write one line per frame (CSV): pose, inliers, probability, standard deviations, covariance.
     #[arg(long, value_name = "CSV")]
     out: Option<PathBuf>,
+    /// Write the inliers of each frame's best pose, one line each (CSV): camera, pixel, map point with its
+    /// position, reprojection error; whether the frame was localized.
+    #[arg(long, value_name = "CSV")]
+    out_matches: Option<PathBuf>,
     /// Settings instead of the defaults; `lsfb localize --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -135,6 +141,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let (map, input) = input::resolve(arguments)?;
     let results = [
         &arguments.out,
+        &arguments.out_matches,
         &arguments.out_drawing,
         &arguments.out_report,
     ];
@@ -144,21 +151,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let config: LocalizerConfig = super::config_or_default(arguments.config.as_deref())?;
     let localizer = Localizer::new(&super::open_map(&map)?, &config)?;
     let input = Input::open(&input, arguments, context)?;
-    let input = match arguments.explain {
-        Some(frame) => input.only(frame)?,
-        None => input,
-    };
+    if let (Some(frame), Some(count)) = (arguments.explain, input.count()) {
+        expect_frame(frame, count)?;
+    }
     let mut detector = arguments.models.detector(localizer.map().feature())?;
-    let mut unfinished = match (&arguments.out, arguments.explain) {
-        (Some(out), None) => input.unfinished(out, &map, &config)?,
-        _ => None,
+    let mut unfinished = match &arguments.out {
+        Some(out) => input.unfinished(out, &map, &config)?,
+        None => None,
     };
     if let Some(before) = unfinished.as_ref().map(Unfinished::len).filter(|n| *n > 0) {
         context.note(&format!("resuming after {before} localized images"));
     }
-    let stages = match (&arguments.out, arguments.explain) {
-        (Some(out), None) => input.kept_stages(out, &map, &config, context)?,
-        _ => KeptStages::none(),
+    let stages = match &arguments.out {
+        Some(out) => input.kept_stages(out, &map, &config, context)?,
+        None => KeptStages::none(),
     };
     let kept = Kept {
         images: unfinished.as_mut(),
@@ -167,19 +173,18 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = input.localize(&localizer, &detector, kept, context)?;
     anyhow::ensure!(!found.frames.is_empty(), "there are no images to localize");
     if let (Some(path), Some(frame)) = (&arguments.out_drawing, arguments.explain) {
-        // Of a folder of images it is the only one by now.
-        let frame = if found.times.is_empty() { 0 } else { frame };
-        let count = found.frames.len();
-        anyhow::ensure!(
-            frame < count,
-            "--explain {frame}: there are {count} frames, counted from 0"
-        );
+        expect_frame(frame, found.frames.len())?;
         for shown in input.shown(&[frame], &found.times)? {
-            crate::files::write(path, drawing::draw(&localizer, &mut detector, &shown?)?)?;
+            let answer = (&found.frames[frame], &found.inliers[frame]);
+            let drawn = drawing::draw(&localizer, &mut detector, &shown?, answer)?;
+            crate::files::write(path, drawn)?;
         }
     }
     if let Some(path) = &arguments.out {
         crate::files::write(path, frames::csv(&found.frames))?;
+    }
+    if let Some(path) = &arguments.out_matches {
+        matches::write_csv(path, &found.frames, &found.inliers, &localizer, input.rig())?;
     }
     if let Some(unfinished) = unfinished {
         unfinished.remove()?;
@@ -187,8 +192,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     stages.remove()?;
     let summary = summary(found.frames, &input, &localizer);
     if let Some(path) = &arguments.out_report {
-        let times = &found.times;
-        let page = page::page(&summary, times, &input, &localizer, &mut detector, context)?;
+        let seen = page::Seen {
+            input: &input,
+            times: &found.times,
+            inliers: &found.inliers,
+        };
+        let page = page::page(&summary, &seen, &localizer, &mut detector, context)?;
         crate::files::write(path, page)?;
     }
     context.print(&summary, || text(&summary))?;
@@ -205,6 +214,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         (true, 0) => Outcome::Done,
         (true, _) => Outcome::DataLost,
     })
+}
+
+fn expect_frame(frame: usize, count: usize) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        frame < count,
+        "--explain {frame}: there are {count} frames, counted from 0"
+    );
+    Ok(())
 }
 
 fn summary(frames: Vec<Frame>, input: &Input, localizer: &Localizer) -> Summary {

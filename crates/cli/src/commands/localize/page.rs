@@ -8,16 +8,25 @@ use maud::{Markup, PreEscaped, html};
 use super::Summary;
 use super::drawing::draw;
 use super::input::Input;
+use super::matches::Inliers;
 use crate::context::Context;
 
 /// Frames that are shown: evenly over all that were lost.
 const SHOWN: usize = 24;
 
+/// What the frames show.
+pub struct Seen<'a> {
+    pub input: &'a Input,
+    /// Of the instants of a walk.
+    pub times: &'a [lsfb_types::Timestamp],
+    /// Of each frame.
+    pub inliers: &'a [Inliers],
+}
+
 /// The page as text.
 pub fn page(
     summary: &Summary,
-    times: &[lsfb_types::Timestamp],
-    input: &Input,
+    seen: &Seen,
     localizer: &Localizer,
     detector: &mut FeatureDetector,
     context: &Context,
@@ -29,14 +38,16 @@ pub fn page(
     let step = lost.len().div_ceil(SHOWN).max(1);
     let chosen: Vec<usize> = lost.iter().copied().step_by(step).collect();
     let mut pictures = Vec::with_capacity(chosen.len());
-    for (done, shown) in input.shown(&chosen, times)?.into_iter().enumerate() {
+    let shown = seen.input.shown(&chosen, seen.times)?;
+    for (done, (k, shown)) in chosen.iter().zip(shown).enumerate() {
         context.show(lsfb_types::Progress {
             stage: "pictures",
             done: done as u64,
             total: chosen.len() as u64,
         })?;
         // What cannot be read, for its size say, has its reason beside it all the same.
-        let drawn = shown.and_then(|shown| draw(localizer, detector, &shown));
+        let answer = (&frames[*k], &seen.inliers[*k]);
+        let drawn = shown.and_then(|shown| draw(localizer, detector, &shown, answer));
         pictures.push(drawn.ok());
     }
     let gallery = chosen.iter().zip(pictures).map(|(k, picture)| {

