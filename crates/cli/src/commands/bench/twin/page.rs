@@ -50,8 +50,8 @@ fn errors(runs: &[Run]) -> Markup {
                         td { (number(run.scanner_ate_rms_m, 100.0, 2)) }
                         td { (number(run.drift_percent, 1.0, 2)) }
                         td { (number(run.reprojection_px, 1.0, 2)) }
-                        td { (number(Some(run.localized), 100.0, 0)) }
-                        td { (number(Some(run.localized_right), 100.0, 0)) }
+                        td { (number(run.localized, 100.0, 0)) }
+                        td { (number(run.localized_right, 100.0, 0)) }
                         td { (number(run.ate_rms_m, 100.0, 2)) }
                         td { (number(run.ate_max_m, 100.0, 2)) }
                         td { (number(run.in_map_rms_m, 100.0, 2)) }

@@ -187,8 +187,9 @@ impl Session<'_> {
         let (walk, true_path) = (self.context.open(&recording)?, Trajectory::new(true_poses));
         let from_map = &scan.truth_from_map;
         let Localized { claimed, right } =
-            judging::localize(&walk, &map, &true_path, from_map, self.context)?;
-        (run.localized, run.localized_right) = (claimed, right);
+            judging::localize(&walk, &map, &true_path, from_map, self.context)?
+                .under(walked.condition);
+        (run.localized, run.localized_right) = (Some(claimed), Some(right));
         let found = refusal(found, TRUTH)?;
         match found {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),

@@ -171,6 +171,14 @@ impl Walked {
         }
         config
     }
+
+    /// How long the walk takes, seconds.
+    pub fn duration_s(&self) -> f64 {
+        match (self.config().glasses.duration_s, self.scanned.motion()) {
+            (0.0, Some(motion)) => motion.duration_s(self.device),
+            (set, _) => set,
+        }
+    }
 }
 
 /// Settings of the calibration place, for the backpack and a device.
