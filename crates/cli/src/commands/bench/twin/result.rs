@@ -53,16 +53,22 @@ pub struct Run {
     pub doubts: Vec<String>,
     /// Whether it says that the trajectory must not be used.
     pub failed: bool,
-    /// Median horizontal distance of the walk from the scanner's path.
+    /// Horizontal distance of the walk from the scanner's path: median, and what a tenth and nine tenths of it are nearer than.
     pub off_path_m: Option<f64>,
+    pub off_path_p10_m: Option<f64>,
+    pub off_path_p90_m: Option<f64>,
     /// Which rigs the estimators were given.
     pub rigs: Rigs,
     /// How far the rigs that the estimators were given are from the true ones.
     pub rigs_off: Vec<SensorOff>,
     /// The stages in the order in which they ran. Scan, map and calibration are shared by the runs of a place.
     pub stages_s: Vec<(String, f64)>,
-    /// The most that the program held during any stage, with that of other places beside it.
+    /// The most that the program held during each stage.
+    pub stages_peak_rss_mb: Vec<(String, f64)>,
+    /// During any of them.
     pub peak_rss_mb: f64,
+    /// Whether stages of other places ran beside any of them, whose memory is counted with its own.
+    pub beside_others: bool,
 }
 
 impl Run {
@@ -93,10 +99,14 @@ impl Run {
             doubts: Vec::new(),
             failed: false,
             off_path_m: None,
+            off_path_p10_m: None,
+            off_path_p90_m: None,
             rigs,
             rigs_off: Vec::new(),
             stages_s: Vec::new(),
+            stages_peak_rss_mb: Vec::new(),
             peak_rss_mb: 0.0,
+            beside_others: false,
         }
     }
 

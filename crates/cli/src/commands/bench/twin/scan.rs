@@ -153,7 +153,10 @@ impl<'a> Scan<'a> {
         for (name, cost) in of_rigs.chain(others) {
             if let Some(cost) = cost {
                 run.stages_s.push((name.to_owned(), cost.wall_s));
+                run.stages_peak_rss_mb
+                    .push((name.to_owned(), cost.peak_rss_mb));
                 run.peak_rss_mb = run.peak_rss_mb.max(cost.peak_rss_mb);
+                run.beside_others |= cost.beside_others;
             }
         }
         Ok(run)
