@@ -410,7 +410,10 @@ mod tests {
     fn what_is_named_twice_is_run_once() {
         let (atrium, stairs) = (Place::Atrium, Place::Stairs);
         let all = [atrium];
-        assert_eq!(or_all(&[stairs, atrium, stairs, stairs], &all), [stairs, atrium]);
+        assert_eq!(
+            or_all(&[stairs, atrium, stairs, stairs], &all),
+            [stairs, atrium]
+        );
         assert_eq!(or_all(&[], &all), [atrium]);
     }
 }
