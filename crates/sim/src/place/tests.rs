@@ -162,7 +162,8 @@ fn walks_lie_off_the_scanners_path_and_keep_clear_of_everything() {
             let nearest = nearest_m(&world, &walk);
             let off = off_path(&scan, &walk);
             let is_whole = durations_s[0] == 0.0;
-            // How much of a walk lies off the path, and how far off it is at least in the middle.
+            // How much of a walk lies off the path, and its median distance: there and back, the scanner leaves 0.45 m to a walker in two metres; short
+            // scans of the house park go through doors and rooms; whole routes cross the scanner's, on a flight of stairs and in rooms.
             let (share, median_m) = match (place, is_whole) {
                 (Place::NarrowCorridor, true) => (0.0, 0.25),
                 (Place::NarrowCorridor, false) => (0.9, 0.55),
@@ -171,7 +172,7 @@ fn walks_lie_off_the_scanners_path_and_keep_clear_of_everything() {
                 _ => (0.8, 0.65),
             };
             let is_right = off.share >= share && off.at[1] >= median_m && off.most_m < 10.5;
-            if true || nearest.0 < 0.2 || !is_right {
+            if nearest.0 < 0.2 || !is_right {
                 wrong.push(format!(
                     "{place:?} {} {seed} {is_whole}: {nearest:?}, {:.2?} m off, at most {:.2}, {:.2} of it beyond half a metre",
                     motion.name, off.at, off.most_m, off.share

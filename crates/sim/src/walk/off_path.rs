@@ -17,7 +17,7 @@ const LANE_M: f64 = 0.25;
 /// Least distance from the scanner's way that is asked for, metres.
 const LEAST_M: f64 = 0.7;
 /// What is nearer to the scanner's way than this lies on it, metres.
-pub(crate) const ON_PATH_M: f64 = 0.5;
+const ON_PATH_M: f64 = 0.5;
 /// Cost of a place there, metres of distance missed: more than being too far away costs.
 const ON_PATH_COST_M: f64 = 6.0;
 /// Beginnings whose walks have a share of their length off the scanner's way that is at most this much smaller than the best are as good.
