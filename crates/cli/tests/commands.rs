@@ -34,6 +34,7 @@ mod report_page;
 mod researchers;
 mod rig_files;
 mod running;
+mod scenes;
 mod seeds;
 mod session;
 mod shifts;

@@ -1,8 +1,10 @@
-//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] [--detailed] [--gap=N] NAME ...`;
+//! Writes images with what is true about them, for foreign programs to judge:
+//! `frames FOLDER [--baked] [--detailed] [--gap=N] [--device=NAME] [--jpeg=QUALITY] NAME ...`;
 //! with `--baked` in traced light, which is kept in the folder, with `--detailed` in the detailed look.
 //!
 //! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images N frames apart (3, a tenth of a
-//! second, unless another gap is asked for) through the first camera of the glasses, with the true motion between them. For `calibration`: images of
+//! second, unless another gap is asked for) through the first camera of the glasses or of another device, with the true motion between them; of
+//! the device's JPEG quality or another (0 for none). For `calibration`: images of
 //! the AprilGrid through the backpack's first camera, through a phone with a rolling shutter, and through the same phone
 //! on the same walk as if its shutter were global, with the true corners.
 
@@ -36,11 +38,20 @@ fn main() -> Result<(), Failure> {
         Some(frames) => frames.parse()?,
         None => 3,
     };
+    let option = |name: &str| arguments.iter().find_map(|a| a.strip_prefix(name));
+    let device = match option("--device=") {
+        Some(name) => Device::ALL
+            .into_iter()
+            .find(|device| device.name() == name)
+            .ok_or_else(|| format!("{name}: no device"))?,
+        None => Device::Glasses,
+    };
+    let jpeg_quality: Option<u8> = option("--jpeg=").map(str::parse).transpose()?;
     arguments.retain(|a| !a.starts_with("--"));
     let folder = Path::new(
         arguments
             .first()
-            .ok_or("usage: frames FOLDER [--baked] [--detailed] [--gap=N] NAME ...")?,
+            .ok_or("usage: frames FOLDER [--baked] [--detailed] [--gap=N] [--device=NAME] [--jpeg=QUALITY] NAME ...")?,
     );
     std::fs::create_dir_all(folder)?;
     for name in &arguments[1..] {
@@ -48,14 +59,17 @@ fn main() -> Result<(), Failure> {
             boards(folder, baked)?
         } else {
             let mut config = match (Place::named(name), PaperMotion::named(name)) {
-                (Some(place), _) => SimConfig::for_place(place, Device::Glasses),
-                (None, Some(motion)) => SimConfig::for_motion(motion, Device::Glasses),
+                (Some(place), _) => SimConfig::for_place(place, device),
+                (None, Some(motion)) => SimConfig::for_motion(motion, device),
                 (None, None) => return Err(format!("{name}: no place and no sequence").into()),
             };
             // The scanner does not walk here.
             config.scan.duration_s = 1.0;
             config.light.baked = baked;
             config.look = look;
+            if let Some(quality) = jpeg_quality {
+                config.glasses_cameras.jpeg_quality = quality;
+            }
             config.light.cache = folder.join("light");
             pairs(folder, name, gap, &Simulation::new(&config, &no_progress)?)?
         };

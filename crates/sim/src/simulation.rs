@@ -225,26 +225,21 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
         },
     };
     if config.off_path_m > 0.0 && !on_board {
-        second.corners = off_the_path(config, world, &scan, second.corners);
+        second.corners = off_the_path(config, world, &scan, &second);
     } else if let Some(door) = world.closed_door() {
         second.corners = this_side(door, second.corners);
     }
     Ok([scan, Walk::of(&second, hash(config.seed ^ 0x3a1c))])
 }
 
-/// Beside the scanner's way, in either direction, from anywhere: along `route`, or, where the scan is shorter than its own, along
-/// as much as there is of it.
-fn off_the_path(
-    config: &SimConfig,
-    world: &World,
-    scan: &Walk,
-    route: Vec<[f64; 3]>,
-) -> Vec<[f64; 3]> {
+/// Beside the scanner's way, in either direction, from where most of the walk is off it: along its route, or, where the scan is shorter than its
+/// own, along as much as there is of it.
+fn off_the_path(config: &SimConfig, world: &World, scan: &Walk, plan: &WalkPlan) -> Vec<[f64; 3]> {
     let footsteps = off_path::footsteps(scan, config.scan.height_m);
-    // Too short a scan goes nowhere.
-    let is_whole = config.scan.duration_s == 0.0 || footsteps.len() < 3;
-    let mut route = match is_whole {
-        true => route,
+    // Too short a scan goes nowhere, and on the spot there is nothing beside.
+    let is_short = config.scan.duration_s > 0.0 || plan.gaze == Gaze::Turning;
+    let mut route = match !is_short || footsteps.len() < 3 {
+        true => plan.corners.clone(),
         false => there_and_back(&footsteps),
     };
     let draw = hash(config.seed ^ 0x0ff9);
@@ -256,7 +251,15 @@ fn off_the_path(
     if let Some(door) = world.closed_door() {
         route = this_side(door, route);
     }
-    off_path::beside(world, &route, &footsteps, config.off_path_m, draw)
+    let way = off_path::beside(world, &route, &footsteps, config.off_path_m, draw);
+    match (world.closed_door(), plan.length_m) {
+        // It begins some metres before the door.
+        (Some(_), _) => way,
+        (None, length_m) => {
+            let length_m = length_m.unwrap_or(f64::INFINITY);
+            off_path::begun_off_the_path(way, &footsteps, length_m, draw)
+        }
+    }
 }
 
 impl RigSim {

@@ -7,8 +7,8 @@ use std::time::Duration;
 use anyhow::Context as _;
 use lsfb_capture::{DevicesConfig, LidarNetConfig, Overflow};
 use lsfb_sim::{
-    ClocksConfig, DatumConfig, Device, Pace, PaperMotion, Place, SimConfig, SimSession, Simulation,
-    preview,
+    ClocksConfig, DatumConfig, Device, Look, Pace, PaperMotion, Place, SimConfig, SimSession,
+    Simulation, preview,
 };
 use serde::Serialize;
 
@@ -35,6 +35,7 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 ///   lsfb sim --out q --place stairs --clocks quartz --record && lsfb clock q/scan.mcap
 ///   lsfb sim --out puck --place stairs --lidar-model vlp-16 --returns dual --record
 ///   lsfb sim preview --out pictures --place atrium
+///   lsfb sim --out mine --scene hall.glb --record
 #[derive(clap::Args)]
 #[command(
     verbatim_doc_comment,
@@ -66,10 +67,13 @@ pub struct Arguments {
     /// Simulate the night: few lamps are lit, windows and screens are dark.
     #[arg(long, conflicts_with = "config")]
     night: bool,
-    /// Path-trace the light of lamps, sky and sun; for --scene, of its own lamps (KHR_lights_punctual) and
-    /// emissive surfaces. Computed once and kept in the folder.
+    /// Path-trace the light of lamps, sky and sun. Computed once and kept in the folder. A --scene always is
+    /// lit so, by its own lamps (KHR_lights_punctual) and emissive surfaces, unless --simple-light.
     #[arg(long, conflicts_with = "config")]
     baked_light: bool,
+    /// Show a --scene as bright as its textures are, without any light.
+    #[arg(long, conflicts_with_all = ["config", "baked_light"])]
+    simple_light: bool,
     /// Seed of the building, the walks and the noise; by default that of --config, otherwise 1.
     #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
@@ -110,6 +114,7 @@ enum Action {
     /// Examples:
     ///   lsfb sim preview --out pictures --place atrium
     ///   lsfb sim preview --out pictures --motion C3 --device android
+    ///   lsfb sim preview --out pictures --detailed-look --baked-light
     #[command(verbatim_doc_comment)]
     Preview {
         /// Folder for the pictures.
@@ -122,26 +127,36 @@ enum Action {
         /// A sequence of the paper's Table VII, O0 to S2; may be repeated.
         #[arg(long, value_name = "NAME", value_parser = motion)]
         motion: Vec<&'static PaperMotion>,
+        /// Settings of the simulation, as `lsfb sim --config`; --seed overrides its seed.
+        #[arg(long, value_name = "TOML", conflicts_with_all = ["place", "motion"])]
+        config: Option<PathBuf>,
         /// The device of the second walk: glasses, android or iphone.
-        #[arg(long, value_name = "NAME", value_parser = device, default_value = "glasses")]
+        #[arg(long, value_name = "NAME", value_parser = device, default_value = "glasses", conflicts_with = "config")]
         device: Device,
-        /// Seed of the buildings, the walks and the noise.
-        #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
-        seed: u64,
+        /// Seed of the buildings, the walks and the noise; by default that of --config, otherwise 1.
+        #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
+        seed: Option<u64>,
         /// Age of the environment in months; furniture and objects move once a month.
-        #[arg(long, value_name = "N", default_value_t = 0)]
+        #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "config")]
         months_later: u32,
         /// Your own textured scene, a binary glTF file in metres, instead of environments.
-        #[arg(long, value_name = "GLB", conflicts_with_all = ["place", "motion"])]
+        #[arg(long, value_name = "GLB", conflicts_with_all = ["config", "place", "motion"])]
         scene: Option<PathBuf>,
-        /// Use path-traced light, as `lsfb sim --baked-light`; it is kept in the folder.
-        #[arg(long)]
+        /// Use path-traced light, as `lsfb sim --baked-light` and for --scene; it is kept in the folder.
+        #[arg(long, conflicts_with = "config")]
         baked_light: bool,
+        /// Show a --scene as bright as its textures are, without any light.
+        #[arg(long, conflicts_with_all = ["config", "baked_light"])]
+        simple_light: bool,
+        /// Paint each material and object individually, as `lsfb bench twin` does. With --baked-light: what a
+        /// trial's cameras see.
+        #[arg(long, conflicts_with_all = ["config", "scene"])]
+        detailed_look: bool,
         /// Draw the night: few lamps are lit, windows and screens are dark.
-        #[arg(long)]
+        #[arg(long, conflicts_with = "config")]
         night: bool,
         /// Close a door that is otherwise open; the second walk stays on one side of it.
-        #[arg(long)]
+        #[arg(long, conflicts_with = "config")]
         fire_door: bool,
     },
 }
@@ -206,6 +221,7 @@ impl Arguments {
             months_later: 0,
             night: false,
             baked_light: false,
+            simple_light: false,
             seed: Some(seed),
             config: None,
             record: false,
@@ -237,13 +253,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         (None, None) => super::config_or_default(arguments.config.as_deref())?,
     };
     if let Some(scene) = &arguments.scene {
-        config = SimConfig::for_place(Place::Imported, arguments.device);
-        config.scene.clone_from(scene);
+        config = of_scene(scene, arguments.device, arguments.simple_light);
     }
     if arguments.config.is_none() {
         config.months_later = arguments.months_later;
         config.night = arguments.night;
-        config.light.baked = arguments.baked_light;
+        config.light.baked |= arguments.baked_light;
         config.device = arguments.device;
     }
     config.seed = arguments.seed.unwrap_or(config.seed);
@@ -336,6 +351,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     })
 }
 
+/// A scene of the user's, in the light of its own lamps unless that is simple.
+fn of_scene(scene: &Path, device: Device, simple_light: bool) -> SimConfig {
+    let mut config = SimConfig::for_place(Place::Imported, device);
+    config.scene = scene.to_owned();
+    config.light.baked = !simple_light;
+    config
+}
+
 /// Fails where recordings, or the truth of other settings, would be replaced. The same settings give the same truth.
 fn expect_no_other(
     out: &Path,
@@ -369,16 +392,22 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
         out,
         place,
         motion,
+        config: settings,
         device,
         seed,
         months_later,
         scene,
         baked_light,
+        simple_light,
+        detailed_look,
         night,
         fire_door,
     } = action;
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let mut wanted: Vec<(String, SimConfig)> = Vec::new();
+    if settings.is_some() {
+        let config = super::config_or_default::<SimConfig>(settings.as_deref())?;
+        wanted.push((config.place.name().to_owned(), config));
+    }
     for motion in motion {
         wanted.push((
             motion.name.to_owned(),
@@ -386,8 +415,7 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
         ));
     }
     if let Some(scene) = scene {
-        let mut config = SimConfig::for_place(Place::Imported, *device);
-        config.scene.clone_from(scene);
+        let config = of_scene(scene, *device, *simple_light);
         wanted.push((Place::Imported.name().to_owned(), config));
     }
     let places = if place.is_empty() && wanted.is_empty() {
@@ -401,11 +429,18 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
             SimConfig::for_place(*place, *device),
         ));
     }
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let mut pictures = Vec::new();
     for (name, mut config) in wanted {
-        (config.seed, config.months_later) = (*seed, *months_later);
-        (config.night, config.fire_door) = (*night, *fire_door);
-        config.light.baked = *baked_light;
+        config.seed = seed.unwrap_or(config.seed);
+        if settings.is_none() {
+            config.months_later = *months_later;
+            (config.night, config.fire_door) = (*night, *fire_door);
+            config.light.baked |= *baked_light;
+            if *detailed_look {
+                config.look = Look::Detailed;
+            }
+        }
         config.light.cache = out.join("light");
         for kind in ["scan", "walk", "top"] {
             context.claim(&out.join(format!("{name}-{kind}.png")), &[])?;

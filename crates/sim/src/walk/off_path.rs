@@ -8,7 +8,7 @@ use wide::f32x8;
 
 use super::Walk;
 use super::tour::Tour;
-use crate::noise::{stream, uniform};
+use crate::noise::{hash, stream, uniform};
 use crate::world::{NO_FACET, Origin, RayPacket, World};
 
 /// Distance between points along the route, and between lanes beside it, metres.
@@ -16,6 +16,12 @@ const STEP_M: f64 = 0.5;
 const LANE_M: f64 = 0.25;
 /// Least distance from the scanner's way that is asked for, metres.
 const LEAST_M: f64 = 0.7;
+/// What is nearer to the scanner's way than this lies on it, metres.
+const ON_PATH_M: f64 = 0.5;
+/// Cost of a place there, metres of distance missed: more than being too far away costs.
+const ON_PATH_COST_M: f64 = 6.0;
+/// Beginnings whose walks have a share of their length off the scanner's way that is at most this much smaller than the best are as good.
+const AS_GOOD: f64 = 0.02;
 /// Length of way for which one distance is asked for, metres.
 const STRETCH_M: f64 = 12.0;
 /// Cost of changing by a lane, metres of distance missed.
@@ -69,7 +75,15 @@ pub(crate) fn beside(
             ground.feet[k]
                 .iter()
                 .map(|foot| match foot {
-                    Some(foot) => (nearest_m(foot, footsteps) - wanted_m[k / stretch]).abs(),
+                    Some(foot) => {
+                        let off_m = nearest_m(foot, footsteps);
+                        let on_path = if off_m < ON_PATH_M {
+                            ON_PATH_COST_M
+                        } else {
+                            0.0
+                        };
+                        (off_m - wanted_m[k / stretch]).abs() + on_path
+                    }
                     None => f64::INFINITY,
                 })
                 .collect()
@@ -89,6 +103,45 @@ pub(crate) fn beside(
             .collect(),
         None => route.to_vec(),
     }
+}
+
+/// A closed way from another beginning: one, drawn, of those from which a walk of `length_m` has the largest share of its length off the
+/// scanner's `footsteps`.
+pub(crate) fn begun_off_the_path(
+    mut way: Vec<[f64; 3]>,
+    footsteps: &[[f64; 3]],
+    length_m: f64,
+    seed: u64,
+) -> Vec<[f64; 3]> {
+    let count = way.len();
+    let steps_m: Vec<f64> = (0..count)
+        .map(|k| apart_m(&way[k], &way[(k + 1) % count]))
+        .collect();
+    let is_off: Vec<bool> = way
+        .iter()
+        .map(|foot| nearest_m(foot, footsteps) >= ON_PATH_M)
+        .collect();
+    let share_from = |begin: usize| {
+        let (mut walked_m, mut off_m) = (0.0, 0.0);
+        for k in (0..count).map(|k| (begin + k) % count) {
+            if walked_m >= length_m {
+                break;
+            }
+            walked_m += steps_m[k];
+            off_m += if is_off[k] { steps_m[k] } else { 0.0 };
+        }
+        off_m / walked_m.max(1e-9)
+    };
+    let shares: Vec<f64> = (0..count).map(share_from).collect();
+    let best = shares.iter().fold(0.0_f64, |most, share| most.max(*share));
+    let good: Vec<usize> = (0..count)
+        .filter(|&k| shares[k] >= best - AS_GOOD)
+        .collect();
+    let drawn = hash(seed ^ 0xbe91) >> 8;
+    if let Some(begin) = good.get(drawn as usize % good.len().max(1)) {
+        way.rotate_left(*begin);
+    }
+    way
 }
 
 fn nearest_m(foot: &[f64; 3], footsteps: &[[f64; 3]]) -> f64 {
@@ -207,8 +260,8 @@ impl<'a> Ground<'a> {
         let floor = self.world.cast(eye, [0.0, 0.0, -1.0]);
         let stands = floor.is_some_and(|hit| (hit.distance - LOOK_DOWN_M).abs() < STEP_RISE_M);
         stands
-            && (0..8_u8).all(|k| {
-                let (sin, cos) = (f32::from(k) * std::f32::consts::FRAC_PI_4).sin_cos();
+            && (0..16_u8).all(|k| {
+                let (sin, cos) = (f32::from(k) * std::f32::consts::FRAC_PI_8).sin_cos();
                 self.is_free(foot, [ROOM_M * cos, ROOM_M * sin, 0.0])
             })
     }

@@ -133,7 +133,7 @@ impl World {
             }
             if traced.0.are_dark() {
                 return Err(refused(
-                    "no light reaches any of its surfaces: add lights (KHR_lights_punctual) or emissive surfaces, or leave light.baked off",
+                    "no light reaches any of its surfaces: add lights (KHR_lights_punctual) or emissive surfaces, or show it without light (--simple-light; light.baked = false in the settings)",
                 ));
             }
             light = traced.0;

@@ -176,7 +176,8 @@ impl Axis {
 mod tests {
     use lsfb_types::no_progress;
 
-    use crate::world::material::Material;
+    use crate::config::Look;
+    use crate::world::material::{Marks, Material};
     use crate::world::{Blueprint, World};
 
     /// A wall or floor, metres, and the distance between the points at which it is looked at.
@@ -184,9 +185,10 @@ mod tests {
     const STEP_M: f32 = 0.05;
 
     /// Brightness of a large surface, row by row, with mean 0.
-    fn surface(material: Material) -> (usize, Vec<f32>) {
+    fn surface(material: Material, look: Look) -> (usize, Vec<f32>) {
         let mut blueprint = Blueprint {
             ambient: 1.0,
+            look,
             ..Blueprint::default()
         };
         let [w, h] = SIZE_M;
@@ -222,11 +224,33 @@ mod tests {
         product / squares
     }
 
+    /// What the trial's places have large surfaces of.
+    const LARGE: [Material; 16] = [
+        Material::PLASTER,
+        Material::PAINT,
+        Material::BLANK,
+        Material::CONCRETE,
+        Material::VINYL,
+        Material::CARPET,
+        Material::WOOD,
+        Material::PARQUET,
+        Material::LINOLEUM,
+        Material::STONE,
+        Material::CEILING,
+        Material::ASPHALT,
+        Material::PAVEMENT,
+        Material::GRASS,
+        Material::BRICK,
+        Material::CLADDING,
+    ];
+
     /// A picture of four metres, mirrored, comes back after eight: correlation 1, as it was before patches.
     #[test]
     fn no_surface_looks_the_same_again_after_a_period() {
-        for material in [Material::PLASTER, Material::PAINT, Material::CONCRETE] {
-            let (columns, values) = surface(material);
+        let looks = [Look::Plain, Look::Detailed].into_iter();
+        let all = looks.flat_map(|look| LARGE.map(|material| (look, material)));
+        let wrong = all.filter_map(|(look, material)| {
+            let (columns, values) = surface(material, look);
             let mut worst = (0.0, 0.0, 0.0);
             // From beyond the longest wavelength of the noise on.
             let far = |m: f32| (m / STEP_M) as usize;
@@ -238,13 +262,21 @@ mod tests {
                     worst = (found, along as f32 * STEP_M, across as f32 * STEP_M);
                 }
             }
-            assert!(worst.0 < 0.25, "{material:?}: {worst:?}");
-        }
+            // Real boards and tiles come back too, by their joints; and of waves of 1.5 m few fit into what overlaps, where there is nothing else.
+            let has_joints = matches!(material.marks, Marks::Boards(_));
+            let limit = match has_joints || material.noise < 0.005 {
+                true => 0.4,
+                false => 0.25,
+            };
+            (worst.0 >= limit).then(|| format!("{look:?} {material:?}: {worst:?}"))
+        });
+        let wrong: Vec<String> = wrong.collect();
+        assert!(wrong.is_empty(), "{wrong:#?}");
     }
 
     #[test]
     fn patches_fade_into_each_other_without_losing_contrast() {
-        let (columns, values) = surface(Material::PAINT);
+        let (columns, values) = surface(Material::PAINT, Look::Plain);
         let rows = values.len() / columns;
         let variance = |near: &dyn Fn(f32) -> bool| {
             let chosen = (0..columns).filter(|k| near(*k as f32 * STEP_M));

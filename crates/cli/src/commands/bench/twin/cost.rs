@@ -13,7 +13,11 @@ use crate::memory;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     pub wall_s: f64,
+    /// The most that the program held meanwhile.
     pub peak_rss_mb: f64,
+    /// Whether stages of other places ran beside it, whose memory is in that.
+    #[serde(default)]
+    pub beside_others: bool,
 }
 
 /// Of the stages whose results lie in one folder.
@@ -39,12 +43,13 @@ impl Costs {
         run: impl FnOnce(&Cell<bool>) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         let (began, made) = (Instant::now(), Cell::new(false));
-        memory::forget_peak();
-        let result = run(&made)?;
+        let (result, peak) = memory::peak_of(|| run(&made));
+        let result = result?;
         if made.get() {
             let cost = Cost {
                 wall_s: began.elapsed().as_secs_f64(),
-                peak_rss_mb: memory::peak_rss_mb(),
+                peak_rss_mb: peak.mb,
+                beside_others: peak.is_shared,
             };
             self.known.insert(stage.to_owned(), cost);
             crate::files::write(&self.path, serde_json::to_vec_pretty(&self.known)?)?;

@@ -9,6 +9,7 @@ use lsfb_types::{Image, Progress, Timestamp};
 use rayon::prelude::*;
 
 use super::result::WRONG_M;
+use super::trial::Condition;
 use crate::context::Context;
 
 /// Instants that are localized on their own, spread over the walk.
@@ -25,6 +26,16 @@ pub struct Localized {
     pub claimed: f64,
     /// With a pose that is right.
     pub right: f64,
+}
+
+impl Localized {
+    /// Of a walk after such a change of the place: wherever a pose is on the mapped floor, who walks on another one is not there.
+    pub fn under(self, condition: Condition) -> Self {
+        match condition {
+            Condition::OtherFloor => Self { right: 0.0, ..self },
+            _ => self,
+        }
+    }
 }
 
 /// Images taken at one instant, by the number of their camera.
@@ -219,6 +230,18 @@ fn instants(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Floors are built alike, so that poses on another one lie where they would be right on this.
+    #[test]
+    fn no_image_of_another_floor_is_localized_rightly() {
+        let found = Localized {
+            claimed: 0.8,
+            right: 0.7,
+        };
+        assert_eq!(found.under(Condition::Crowd), found);
+        let elsewhere = found.under(Condition::OtherFloor);
+        assert_eq!((elsewhere.claimed, elsewhere.right), (0.8, 0.0));
+    }
 
     #[test]
     fn jitter_is_what_changes_from_image_to_image_within_a_stretch() {

@@ -40,7 +40,8 @@ use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 /// As in the paper's Tables IV and V. Walks go 0.5 to 6 m beside the scanner's path where there is
 /// room, with the motions of Table VII, and every rig is calibrated with a simulated board. Exit code
 /// 4: an exported pose is more than 10 cm off, or no place could be mapped. Finished parts are not run
-/// again; recordings are removed once evaluated. Writes twin.json and report.html.
+/// again, and what is named twice is run once; recordings are removed once evaluated. Writes twin.json and
+/// report.html.
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --quick
@@ -141,13 +142,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
     let devices = or_all(&arguments.devices, &Device::ALL);
+    let all_conditions = each_once(&arguments.conditions);
     let conditions = |place: Place| {
-        let all = arguments.conditions.iter();
+        let all = all_conditions.iter();
         all.filter(move |condition| condition.is_possible_in(place))
     };
     let walks_of = |place: &Place| devices.len() * conditions(*place).count();
     for place in &places {
-        for condition in &arguments.conditions {
+        for condition in &all_conditions {
             if !condition.is_possible_in(*place) {
                 context.note(&format!(
                     "{}: it has no door that could be closed, and so no {} walks",
@@ -251,11 +253,22 @@ fn take_folder(out: &Path, context: &Context) -> anyhow::Result<()> {
     crate::files::write(&mark, "Made by `lsfb bench twin`, which resumes here.\n")
 }
 
-fn or_all<T: Copy>(chosen: &[T], all: &[T]) -> Vec<T> {
+fn or_all<T: Copy + PartialEq>(chosen: &[T], all: &[T]) -> Vec<T> {
     match chosen {
         [] => all.to_vec(),
-        chosen => chosen.to_vec(),
+        chosen => each_once(chosen),
     }
+}
+
+/// In their order; what is named twice has one folder, in which no two threads may write.
+fn each_once<T: Copy + PartialEq>(chosen: &[T]) -> Vec<T> {
+    let mut once = Vec::with_capacity(chosen.len());
+    for item in chosen {
+        if !once.contains(item) {
+            once.push(*item);
+        }
+    }
+    once
 }
 
 /// Writes and prints the result.
@@ -386,4 +399,21 @@ const fn bearer(device: Option<Device>) -> Bearer {
 
 fn bearer_name(device: Option<Device>) -> &'static str {
     device.map_or("backpack", Device::name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two of one name would write one folder at the same time.
+    #[test]
+    fn what_is_named_twice_is_run_once() {
+        let (atrium, stairs) = (Place::Atrium, Place::Stairs);
+        let all = [atrium];
+        assert_eq!(
+            or_all(&[stairs, atrium, stairs, stairs], &all),
+            [stairs, atrium]
+        );
+        assert_eq!(or_all(&[], &all), [atrium]);
+    }
 }

@@ -35,7 +35,7 @@ fn errors(runs: &[Run]) -> Markup {
     html! {
         table.numbers {
             thead { tr {
-                th { "run" } th { "motion" } th { "distance from path, m" } th { "scanner ATE, cm" } th { "drift, %" }
+                th { "run" } th { "motion" } th { "distance from path (10, 50, 90 %), m" } th { "scanner ATE, cm" } th { "drift, %" }
                 th { "reprojection, px" } th { "localized, %" } th { "correct, %" } th { "ATE rms, cm" }
                 th { "ATE max, cm" } th { "in the map, cm" } th { "jitter, mm" }
                 th { "image-to-image jitter, mm" } th { "single-image jitter, mm" } th { "exported" } th { "wrong" }
@@ -46,12 +46,15 @@ fn errors(runs: &[Run]) -> Markup {
                     tr {
                         td { (run.name()) }
                         td { (run.motion) }
-                        td { (number(run.off_path_m, 1.0, 2)) }
+                        td {
+                            (number(run.off_path_p10_m, 1.0, 2)) ", " (number(run.off_path_m, 1.0, 2)) ", "
+                            (number(run.off_path_p90_m, 1.0, 2))
+                        }
                         td { (number(run.scanner_ate_rms_m, 100.0, 2)) }
                         td { (number(run.drift_percent, 1.0, 2)) }
                         td { (number(run.reprojection_px, 1.0, 2)) }
-                        td { (number(Some(run.localized), 100.0, 0)) }
-                        td { (number(Some(run.localized_right), 100.0, 0)) }
+                        td { (number(run.localized, 100.0, 0)) }
+                        td { (number(run.localized_right, 100.0, 0)) }
                         td { (number(run.ate_rms_m, 100.0, 2)) }
                         td { (number(run.ate_max_m, 100.0, 2)) }
                         td { (number(run.in_map_rms_m, 100.0, 2)) }
@@ -72,24 +75,33 @@ fn errors(runs: &[Run]) -> Markup {
 
 fn costs(runs: &[Run]) -> Markup {
     html! {
+        @if runs.iter().any(|run| run.beside_others) {
+            p.note {
+                "Runs marked * had stages that ran while other places were processed: their times are longer than alone, and the \
+                 memory of these places is included. --at-once 1 measures each stage on its own."
+            }
+        }
         table.numbers {
-            thead { tr { th { "run" } th { "stages, s" } th { "peak memory, MB" } } }
+            thead { tr { th { "run" } th { "stages, s" } th { "peak memory by stage, MB" } } }
             tbody {
                 @for run in runs {
                     tr {
                         td { (run.name()) }
-                        td.words {
-                            @for (k, (stage, wall_s)) in run.stages_s.iter().enumerate() {
-                                @if k > 0 { ", " }
-                                (stage) " " (format!("{wall_s:.0}"))
-                            }
-                        }
-                        td { (format!("{:.0}", run.peak_rss_mb)) }
+                        td.words { (by_stage(&run.stages_s)) }
+                        td.words { (by_stage(&run.stages_peak_rss_mb)) @if run.beside_others { " *" } }
                     }
                 }
             }
         }
     }
+}
+
+fn by_stage(values: &[(String, f64)]) -> String {
+    let all: Vec<String> = values
+        .iter()
+        .map(|(stage, value)| format!("{stage} {value:.0}"))
+        .collect();
+    all.join(", ")
 }
 
 fn rigs(runs: &[Run]) -> Markup {

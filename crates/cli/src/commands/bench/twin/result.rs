@@ -28,9 +28,9 @@ pub struct Run {
     /// Of the map's observations, rms.
     pub reprojection_px: Option<f64>,
     /// Share of instants of the walk for which localization alone gave a pose.
-    pub localized: f64,
+    pub localized: Option<f64>,
     /// Share of instants whose pose was right: within 10 cm and 5°.
-    pub localized_right: f64,
+    pub localized_right: Option<f64>,
     /// Error of the walk's trajectory after an alignment of its own, rms and largest.
     pub ate_rms_m: Option<f64>,
     pub ate_max_m: Option<f64>,
@@ -53,16 +53,22 @@ pub struct Run {
     pub doubts: Vec<String>,
     /// Whether it says that the trajectory must not be used.
     pub failed: bool,
-    /// Median horizontal distance of the walk from the scanner's path.
+    /// Horizontal distance of the walk from the scanner's path: median, and what a tenth and nine tenths of it are nearer than.
     pub off_path_m: Option<f64>,
+    pub off_path_p10_m: Option<f64>,
+    pub off_path_p90_m: Option<f64>,
     /// Which rigs the estimators were given.
     pub rigs: Rigs,
     /// How far the rigs that the estimators were given are from the true ones.
     pub rigs_off: Vec<SensorOff>,
     /// The stages in the order in which they ran. Scan, map and calibration are shared by the runs of a place.
     pub stages_s: Vec<(String, f64)>,
-    /// The most that the program held during any stage, with that of other places beside it.
+    /// The most that the program held during each stage.
+    pub stages_peak_rss_mb: Vec<(String, f64)>,
+    /// During any of them.
     pub peak_rss_mb: f64,
+    /// Whether stages of other places ran beside any of them, whose memory is counted with its own.
+    pub beside_others: bool,
 }
 
 impl Run {
@@ -78,8 +84,8 @@ impl Run {
             scanner_ate_rms_m: None,
             drift_percent: None,
             reprojection_px: None,
-            localized: 0.0,
-            localized_right: 0.0,
+            localized: None,
+            localized_right: None,
             ate_rms_m: None,
             ate_max_m: None,
             in_map_rms_m: None,
@@ -93,11 +99,20 @@ impl Run {
             doubts: Vec::new(),
             failed: false,
             off_path_m: None,
+            off_path_p10_m: None,
+            off_path_p90_m: None,
             rigs,
             rigs_off: Vec::new(),
             stages_s: Vec::new(),
+            stages_peak_rss_mb: Vec::new(),
             peak_rss_mb: 0.0,
+            beside_others: false,
         }
+    }
+
+    /// Ends before the walk was looked at: all of it is left out.
+    pub fn refuse(&mut self, why: &str, walked: &Walked) {
+        (self.refused, self.dropped_s) = (Some(why.to_owned()), walked.duration_s());
     }
 
     /// What the run is called.
@@ -179,13 +194,13 @@ pub fn table(runs: &[Run]) -> String {
         };
         let _ = write!(
             text,
-            "\n{:<38} {:>7} {:>6} {:>6} {:>6.0} {:>6.0} {:>7} {:>7} {:>7} {:>6} {:>6.1}",
+            "\n{:<38} {:>7} {:>6} {:>6} {:>6} {:>6} {:>7} {:>7} {:>7} {:>6} {:>6.1}",
             run.name(),
             number(run.scanner_ate_rms_m, 100.0, 2),
             number(run.drift_percent, 1.0, 2),
             number(run.reprojection_px, 1.0, 2),
-            100.0 * run.localized,
-            100.0 * run.localized_right,
+            number(run.localized, 100.0, 0),
+            number(run.localized_right, 100.0, 0),
             number(run.ate_rms_m, 100.0, 2),
             number(run.ate_max_m, 100.0, 2),
             number(run.in_map_rms_m, 100.0, 2),
@@ -209,24 +224,27 @@ mod tests {
     use super::super::trial::{Condition, Scanned, Size};
     use super::*;
 
-    fn run(exported_wrong: u64, refused: Option<&str>) -> Run {
+    fn walked() -> Walked {
         let scanned = Scanned {
             place: Place::Stairs,
             seed: 1,
             size: Size::Quick,
         };
-        let walked = Walked {
+        Walked {
             scanned,
             condition: Condition::AsScanned,
             device: Device::Android,
-        };
+        }
+    }
+
+    fn run(exported_wrong: u64, refused: Option<&str>) -> Run {
         Run {
             scanner_ate_rms_m: Some(0.01),
             ate_rms_m: refused.is_none().then_some(0.01),
             exported: 300,
             exported_wrong,
             refused: refused.map(str::to_owned),
-            ..Run::of(&walked, Rigs::Calibrated)
+            ..Run::of(&walked(), Rigs::Calibrated)
         }
     }
 
@@ -263,5 +281,12 @@ mod tests {
             "{json}"
         );
         assert!(table(&[run(0, Some("no map"))]).contains("refused: no map"));
+
+        // Where there is no map, no image was localized, which is not to say that none can be.
+        let mut unmapped = Run::of(&walked(), Rigs::Calibrated);
+        unmapped.refuse("map: no loop closes", &walked());
+        let json = serde_json::to_value(&unmapped).expect("JSON");
+        assert!(json["localized"].is_null() && json["localized_right"].is_null());
+        assert_eq!(json["dropped_s"], 10.0, "{json}");
     }
 }

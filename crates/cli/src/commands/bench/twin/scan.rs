@@ -129,7 +129,7 @@ impl<'a> Scan<'a> {
         let mut costs = Costs::open(folder.join("costs.json"));
         let mut run = Run::of(walked, self.trial.given);
         match (&rigs[0].found, &rigs[1].found) {
-            (Err(why), _) | (_, Err(why)) => run.refused = Some(why.clone()),
+            (Err(why), _) | (_, Err(why)) => run.refuse(why, walked),
             (Ok(backpack), Ok(device)) => {
                 run.rigs_off = [backpack.off.clone(), device.off.clone()].concat();
                 if self.mapped.is_none() {
@@ -139,7 +139,7 @@ impl<'a> Scan<'a> {
                     Some(Ok(mapped)) => {
                         self.session.walk(walked, mapped, &mut costs, &mut run)?;
                     }
-                    Some(Err(why)) => run.refused = Some(why.clone()),
+                    Some(Err(why)) => run.refuse(why, walked),
                     None => {}
                 }
             }
@@ -153,7 +153,10 @@ impl<'a> Scan<'a> {
         for (name, cost) in of_rigs.chain(others) {
             if let Some(cost) = cost {
                 run.stages_s.push((name.to_owned(), cost.wall_s));
+                run.stages_peak_rss_mb
+                    .push((name.to_owned(), cost.peak_rss_mb));
                 run.peak_rss_mb = run.peak_rss_mb.max(cost.peak_rss_mb);
+                run.beside_others |= cost.beside_others;
             }
         }
         Ok(run)

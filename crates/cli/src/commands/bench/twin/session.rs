@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use lsfb_eval::{Smoothness, read_poses};
-use lsfb_geometry::{StampedPose, Trajectory};
+use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_sim::Simulation;
-use lsfb_types::{Stopped, median};
+use lsfb_types::{Stopped, median, quantile};
 
 use super::cost::Costs;
 use super::judging::{self, Localized};
@@ -172,7 +172,10 @@ impl Session<'_> {
         });
         let true_poses = read_poses(&truth)?;
         let scan = &mapped.judged;
-        run.off_path_m = Some(off_path_m(&scan.truth, &true_poses));
+        let off_path_m = off_path_m(&scan.truth, &true_poses);
+        run.off_path_p10_m = quantile(off_path_m.clone(), 0.1);
+        run.off_path_m = median(off_path_m.clone());
+        run.off_path_p90_m = quantile(off_path_m, 0.9);
         run.scanner_ate_rms_m = Some(scan.evaluation.ate_translation_m.rmse);
         run.drift_percent = scan.evaluation.rpe.first().and_then(|over| {
             let mean_m = over.translation_m.as_ref()?.mean;
@@ -187,8 +190,9 @@ impl Session<'_> {
         let (walk, true_path) = (self.context.open(&recording)?, Trajectory::new(true_poses));
         let from_map = &scan.truth_from_map;
         let Localized { claimed, right } =
-            judging::localize(&walk, &map, &true_path, from_map, self.context)?;
-        (run.localized, run.localized_right) = (claimed, right);
+            judging::localize(&walk, &map, &true_path, from_map, self.context)?
+                .under(walked.condition);
+        (run.localized, run.localized_right) = (Some(claimed), Some(right));
         let found = refusal(found, TRUTH)?;
         match found {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
@@ -229,22 +233,23 @@ impl Session<'_> {
     }
 }
 
-/// Median horizontal distance of a walk from the scanner's path, metres.
-fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> f64 {
+/// Horizontal distances of a walk from the scanner's path on the same storey, metres.
+fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> Vec<f64> {
     /// Of two hundred poses a second, ten are enough.
     const EVERY: usize = 20;
+    /// Whoever is on another storey is further up or down than this, however high devices are held, metres.
+    const STOREY_M: f64 = 1.5;
     let place = |pose: &StampedPose| pose.world_from_rig.translation;
-    let distances: Vec<f64> = walk
-        .iter()
-        .step_by(EVERY)
-        .map(|pose| {
-            let at = place(pose);
-            let scanned = scan.iter().step_by(EVERY).map(place);
-            let apart = scanned.map(|other| (other.x - at.x).hypot(other.y - at.y));
-            apart.fold(f64::INFINITY, f64::min)
-        })
-        .collect();
-    median(distances).unwrap_or(0.0)
+    let scanned: Vec<_> = scan.iter().step_by(EVERY).map(place).collect();
+    let of = |at: Vector3<f64>| {
+        let beside = scanned
+            .iter()
+            .filter(|other| (other.z - at.z).abs() < STOREY_M);
+        let apart = beside.map(|other| (other.x - at.x).hypot(other.y - at.y));
+        apart.fold(f64::INFINITY, f64::min)
+    };
+    let distances = walk.iter().step_by(EVERY).map(place).map(of);
+    distances.filter(|off_m| off_m.is_finite()).collect()
 }
 
 #[cfg(test)]

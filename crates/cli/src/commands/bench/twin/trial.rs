@@ -17,6 +17,10 @@ pub const OTHER_FLOOR: &str = "other-floor";
 /// People who were not there during the scan, under [`Condition::Crowd`].
 const CROWD: u32 = 12;
 
+/// Quality of the JPEG compression that phones' images go through on a walk: it stands for all that lossy video does, and leaves true matches as far
+/// apart as those of real images (`docs/twin.md`, "Against real images"). A board is recorded with the device's own.
+const PHONE_JPEG_QUALITY: u8 = 40;
+
 /// What has become of the place between scan and walk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -140,6 +144,9 @@ impl Scanned {
 
     fn with(&self, device: Device) -> SimConfig {
         let mut config = beside_the_scan(self.place, self.motion(), device, self.seed);
+        if device != Device::Glasses {
+            config.glasses_cameras.jpeg_quality = PHONE_JPEG_QUALITY;
+        }
         let durations_s = match self.size {
             Size::Full => None,
             Size::Quick => Some([36.0, 10.0]),
@@ -170,6 +177,14 @@ impl Walked {
             Condition::FireDoor => config.fire_door = true,
         }
         config
+    }
+
+    /// How long the walk takes, seconds.
+    pub fn duration_s(&self) -> f64 {
+        match (self.config().glasses.duration_s, self.scanned.motion()) {
+            (0.0, Some(motion)) => motion.duration_s(self.device),
+            (set, _) => set,
+        }
     }
 }
 
