@@ -226,18 +226,27 @@ fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
         .collect()
 }
 
+/// What was read of an IMU.
+#[derive(Default)]
+pub(crate) struct ReadImu {
+    /// In order of time, each instant once.
+    pub samples: Vec<Stamped<ImuSample>>,
+    /// Messages that could not be read, or have the stamp of another measurement: nobody knows when these were made.
+    pub damaged: u64,
+    /// Messages that came once more: no loss, but something recorded them twice.
+    pub repeated: u64,
+}
+
 /// [`read_imu`], or nothing where the recording has no IMU.
-pub(crate) fn read_imu_if_any(
-    recording: &Recording,
-) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
+pub(crate) fn read_imu_if_any(recording: &Recording) -> Result<ReadImu, Error> {
     match read_imu(recording) {
-        Err(Error::Recording(lsfb_recording::Error::NoSuchTopic { .. })) => Ok((Vec::new(), 0)),
+        Err(Error::Recording(lsfb_recording::Error::NoSuchTopic { .. })) => Ok(ReadImu::default()),
         read => read,
     }
 }
 
-/// Inertial samples in order of time, each instant once, and the number of messages that could not be read, or have the stamp of another.
-pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
+/// Reads all inertial samples.
+pub(crate) fn read_imu(recording: &Recording) -> Result<ReadImu, Error> {
     let (mut samples, mut damaged) = (Vec::new(), 0);
     for sample in recording.imu()? {
         match sample {
@@ -246,12 +255,16 @@ pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>
         }
     }
     samples.sort_by_key(|sample| sample.time);
-    // A message that came twice is no loss; another measurement with its stamp is one, as nobody knows when it was made.
+    let read = samples.len();
     samples.dedup_by(|b, a| b.time == a.time && b.sample == a.sample);
     let told = samples.len();
     samples.dedup_by_key(|sample| sample.time);
     damaged += (told - samples.len()) as u64;
-    Ok((samples, damaged))
+    Ok(ReadImu {
+        samples,
+        damaged,
+        repeated: (read - told) as u64,
+    })
 }
 
 #[cfg(test)]

@@ -186,9 +186,10 @@ const MIXED_UNITS: [&str; 4] = ["april-grid", "checkerboard", "charuco", "datum"
 
 /// Whether an option's value is text: a name, a path, an address, one of a few words.
 fn takes_text(argument: &Arg, value: &str) -> bool {
-    const TEXTS: [&str; 29] = [
+    const TEXTS: [&str; 30] = [
         "ADDR",
         "CODE",
+        "COMMAND",
         "CSV",
         "FILE",
         "FOLDER",

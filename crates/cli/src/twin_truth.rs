@@ -5,7 +5,10 @@ use std::path::Path;
 use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::DeltaUnit;
-use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, RpeConfig, evaluate, read_poses};
+use lsfb_eval::{
+    Consistency, DuplicateStamps, EvalConfig, Evaluation, ReadOptions, RpeConfig, evaluate,
+    evaluate_files, read_poses, read_trajectory,
+};
 use lsfb_geometry::{Quaternion, Se3, StampedPose, UnitQuaternion};
 
 /// Length of way over which drift is measured, metres.
@@ -70,4 +73,22 @@ pub fn judge_walk(
         in_map: with(AlignmentMode::Given(truth_from_map))?,
         truth,
     })
+}
+
+/// Whether the covariances of a walk's poses are as large as their errors where the map places them; `covariances` is the file of poses with
+/// covariance. `None` where none of them is one.
+pub fn consistency_in_map(
+    truth: &Path,
+    covariances: &Path,
+    truth_from_map: Se3,
+) -> anyhow::Result<Option<Consistency>> {
+    let read = |path| read_trajectory(path, &ReadOptions::default());
+    let config = config(AlignmentMode::Given(truth_from_map));
+    Ok(evaluate_files(&read(truth)?, &read(covariances)?, &config)?.consistency)
+}
+
+/// Error of positions after an alignment of their own, rms, metres; `None` where they are too few for one.
+pub fn ate_rms_m(truth: &[StampedPose], estimate: &[StampedPose]) -> Option<f64> {
+    let found = evaluate(truth, estimate, &config(AlignmentMode::Se3)).ok()?;
+    Some(found.ate_translation_m.rmse)
 }

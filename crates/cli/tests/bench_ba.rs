@@ -1,5 +1,6 @@
 //! `lsfb bench ba` on a short walk.
 
+use std::path::Path;
 use std::process::Output;
 
 use crate::answer::json;
@@ -7,6 +8,10 @@ use crate::process::lsfb;
 
 fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).expect("a file")
 }
 
 #[test]
@@ -43,9 +48,24 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
     let page = std::fs::read_to_string(root.join("ba/ba.html")).expect("page");
     assert!(page.contains("Peer") && page.contains("incremental"));
 
-    // In a map (Eq. 5), poses are those of the optimum.
+    // In a map (Eq. 5), poses are those of the optimum. A peer is run on the problem in the same run.
+    std::fs::write(
+        root.join("peer.sh"),
+        "echo counts keyframes\necho \"60,2.5,$(grep -c ^keyframe \"$1\")\" > \"$2\"\n",
+    )
+    .expect("file");
     let in_map = "bench ba --keyframes 60 --points 60 --map-percent 20 --batch-every 20 --out map";
-    let printed = json(root, &in_map.split(' ').collect::<Vec<_>>(), 0);
+    let mut in_map: Vec<&str> = in_map.split(' ').collect();
+    in_map.extend(["--run", "Counter=sh peer.sh"]);
+    let printed = json(root, &in_map, 0);
+    let of_peer = read(&root.join("map/peer-Counter.csv"));
+    assert_eq!(of_peer, "60,2.5,60\n");
+    assert_eq!(
+        read(&root.join("map/peer-Counter.log")),
+        "counts keyframes\n"
+    );
+    assert_eq!(printed["solvers"][2]["solver"], "Counter");
+    assert_eq!(printed["solvers"][2]["max_ms"], 2.5);
     let apart_m = printed["poses_apart_m"].as_f64().expect("a number");
     assert!(apart_m < 1e-6, "{apart_m:.1e} m");
     let problem = std::fs::read_to_string(root.join("map/problem.txt")).expect("problem");
@@ -68,4 +88,11 @@ fn what_is_no_result_of_a_peer_is_refused_before_anything_is_solved() {
     assert!(!root.join("ba/problem.txt").exists());
     let output = lsfb(root, &["bench", "ba", "--out", "ba", "--peer", "peer.csv"]);
     assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+
+    // A peer that fails is named, with what it said.
+    let arguments =
+        "bench ba --keyframes 60 --points 20 --batch-every 60 --out failed --run Peer=false";
+    let output = lsfb(root, &arguments.split(' ').collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("peer-Peer.log"), "{}", said(&output));
 }

@@ -100,6 +100,14 @@ impl GroundTruthWarning {
             )
             .value(*samples as f64, "")
             .limit(Limit::AtMost(0.0)),
+            Self::RepeatedSamples { samples } => warn(
+                "repeated-samples",
+                "IMU",
+                format!("{samples} are duplicates, stamp and all, of another sample; each was used once"),
+            )
+            .value(*samples as f64, "")
+            .limit(Limit::AtMost(0.0))
+            .remedy("check what recorded it: messages were stored twice"),
             Self::RepeatedStamps { images } => warn(
                 "repeated-stamps",
                 "images",
@@ -315,6 +323,16 @@ impl GroundTruthReport {
         self.left_out.is_empty() && !self.warnings.iter().any(GroundTruthWarning::loses_data)
     }
 
+    /// Share of the images that a camera sent once more.
+    pub(super) fn frozen_share(&self) -> f64 {
+        let frozen = self.warnings.iter().find_map(|warning| match warning {
+            GroundTruthWarning::FrozenImages { images } => Some(*images),
+            _ => None,
+        });
+        let all = self.frames * self.cameras.len() as u64;
+        frozen.unwrap_or(0) as f64 / all.max(1) as f64
+    }
+
     /// Everything that was looked at, good or not.
     pub fn findings(&self) -> Vec<Finding> {
         let share = 100.0 * self.poses as f64 / self.frames.max(1) as f64;
@@ -352,7 +370,9 @@ impl GroundTruthReport {
             },
         ];
         findings.extend(self.imu.iter().flat_map(ImuRefinement::findings));
-        findings.extend(self.map.iter().flat_map(MapAgreement::findings));
+        let frozen_share = self.frozen_share();
+        let of_map = |map: &MapAgreement| map.findings(frozen_share);
+        findings.extend(self.map.iter().flat_map(of_map));
         findings.extend(self.together.iter().map(Together::finding));
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));

@@ -24,6 +24,9 @@ const POINT_SIGMA_M: f64 = 1e3;
 /// Least share of what is known of the scale that the walk must have told.
 const LEAST_SHARE: f64 = 1e-3;
 
+/// Share of the images that a camera sent once more beyond which the scale is not judged: a few percent are no stretch worth the name.
+const MANY_FROZEN: f64 = 0.05;
+
 /// What the IMU says of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapAgreement {
@@ -60,12 +63,13 @@ impl MapAgreement {
         })
     }
 
-    /// Everything that was looked at, good or not.
-    pub(super) fn findings(&self) -> [Finding; 2] {
-        [self.of_scale(), self.of_lean()]
+    /// Everything that was looked at, good or not. Where a camera froze for so large a share of the images, the IMU alone carries the walk: what
+    /// it drifts there is no sign of a map that is a few percent too large, and does not get a finding of its own.
+    pub(super) fn findings(&self, frozen_share: f64) -> [Finding; 2] {
+        [self.of_scale(frozen_share), self.of_lean()]
     }
 
-    fn of_scale(&self) -> Finding {
+    fn of_scale(&self, frozen_share: f64) -> Finding {
         let Some(scale) = self.scale.filter(|s| s.sigma_percent <= KNOWN_PERCENT) else {
             let what = match self.scale {
                 Some(s) => format!(
@@ -79,14 +83,25 @@ impl MapAgreement {
             return Finding::new("map-scale", Verdict::Unknown, "map", what);
         };
         let sigmas = scale.too_large_percent.abs() / scale.sigma_percent;
-        let what = format!(
-            "lengths in the map differ by {:+.1} ± {:.1} % from the IMU's; if that is significant, \
-             the scale of the map (and of the trajectory) or of the accelerometer is wrong",
+        let differ = format!(
+            "lengths in the map differ by {:+.1} ± {:.1} % from the IMU's",
             scale.too_large_percent, scale.sigma_percent
+        );
+        let is_small = scale.too_large_percent.abs() <= LARGEST_PERCENT;
+        if sigmas > UNLIKELY_SIGMAS && is_small && frozen_share > MANY_FROZEN {
+            let what = format!(
+                "{differ}, but a camera was frozen for {:.0} % of the images and the IMU alone carries the walk there: the map's scale is not judged",
+                1e2 * frozen_share
+            );
+            return Finding::new("map-scale", Verdict::Unknown, "map", what);
+        }
+        let what = format!(
+            "{differ}; if that is significant, \
+             the scale of the map (and of the trajectory) or of the accelerometer is wrong"
         );
         let verdict = match sigmas <= UNLIKELY_SIGMAS {
             true => Verdict::Pass,
-            false if scale.too_large_percent.abs() > LARGEST_PERCENT => Verdict::Fail,
+            false if !is_small => Verdict::Fail,
             false => Verdict::Warn,
         };
         Finding::new("map-scale", verdict, "map", what)

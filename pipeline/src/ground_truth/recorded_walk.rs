@@ -9,7 +9,7 @@ use lsfb_types::{ImuSample, ProgressFn, Stamped};
 use super::{GroundTruthConfig, frozen_images, frozen_samples};
 use crate::Error;
 use crate::features::{Feature, FeatureDetector};
-use crate::frames::{ImageClock, ReadFrames, read_frames, read_imu_if_any};
+use crate::frames::{ImageClock, ReadFrames, ReadImu, read_frames, read_imu_if_any};
 use crate::kept_stages::KeptStages;
 use crate::preintegration::NO_WEIGHT;
 
@@ -21,6 +21,8 @@ pub struct RecordedWalk {
     /// None of a walk of images alone.
     pub(super) imu: Vec<Stamped<ImuSample>>,
     pub(super) damaged_samples: u64,
+    /// Samples that were recorded once more.
+    pub(super) repeated_samples: u64,
     /// For how long a sensor of the IMU repeated itself while the device moved, seconds.
     pub(super) frozen_secs: f64,
     pub(super) read: ReadFrames,
@@ -58,7 +60,11 @@ impl RecordedWalk {
         if rig.cameras.is_empty() {
             return Err(missing("camera"));
         }
-        let (mut imu, damaged_samples) = read_imu_if_any(recording)?;
+        let ReadImu {
+            samples: mut imu,
+            damaged: damaged_samples,
+            repeated: repeated_samples,
+        } = read_imu_if_any(recording)?;
         let noise = match rig.imu_noise() {
             Some(noise) => noise.clone(),
             None if imu.is_empty() => NO_WEIGHT,
@@ -78,6 +84,7 @@ impl RecordedWalk {
             rig,
             imu,
             damaged_samples,
+            repeated_samples,
             frozen_secs,
             read,
             frozen,

@@ -237,6 +237,11 @@ pub enum GroundTruthWarning {
         /// How many messages, or stretches of the file.
         samples: u64,
     },
+    /// Inertial samples were recorded once more.
+    RepeatedSamples {
+        /// How many.
+        samples: u64,
+    },
     /// Images of one camera carry the stamp of another of its images.
     RepeatedStamps {
         /// How many were not used.

@@ -530,12 +530,7 @@ impl<'a> Attempt<'a> {
         report.place_checked = whole.is_judged();
         report.left_out.extend(out_of_reach(&read.frames, range));
         report.left_out.sort_by_key(|span| span.from_ns);
-        report.warnings = warnings(
-            &report,
-            read,
-            recorded.frozen,
-            (recorded.damaged_samples, recorded.frozen_secs),
-        );
+        report.warnings = warnings(&report, recorded);
         let in_rig = rig.imu_noise().is_some();
         let without_imu = (!walk.has_imu()).then_some(GroundTruthWarning::WithoutImu { in_rig });
         report.warnings.extend(without_imu);

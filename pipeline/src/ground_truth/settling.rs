@@ -79,18 +79,28 @@ fn unrest(
     walk: &mut Walk,
     last: &Optimized,
     (config, used): (&GroundTruthConfig, &GroundTruthConfig),
-    (rounds, [moved_m, turned_rad]): (usize, [f64; 2]),
+    (rounds, moved): (usize, [f64; 2]),
 ) -> Option<GroundTruthWarning> {
     let (frames, mut points) = (walk.frames.clone(), last.points.clone());
     let changing = choose_observations(walk, &last.estimate, &mut points, config);
     walk.frames = frames;
     let is_settled = allowing(walk, last, used).is_none() && is_few(changing, last);
-    (!is_settled).then(|| GroundTruthWarning::NotAtRest {
+    (!is_settled).then(|| not_at_rest(rounds, changing, moved))
+}
+
+/// What is said where a walk did not settle: `changing` observations would come or go in another round; the last one moved a pose by so many metres and
+/// radians at most.
+pub(super) fn not_at_rest(
+    rounds: usize,
+    changing: usize,
+    [moved_m, turned_rad]: [f64; 2],
+) -> GroundTruthWarning {
+    GroundTruthWarning::NotAtRest {
         rounds: rounds as u64,
         changing: changing as u64,
         moved_m,
         turned_deg: turned_rad.to_degrees(),
-    })
+    }
 }
 
 /// Whether so few observations came or went that no pose feels it.
@@ -99,7 +109,7 @@ pub(super) fn is_few(changed: usize, solved: &Optimized) -> bool {
 }
 
 /// Farthest that a pose moved, metres, and turned, radians.
-fn farthest(before: &Estimate, after: &Estimate) -> [f64; 2] {
+pub(super) fn farthest(before: &Estimate, after: &Estimate) -> [f64; 2] {
     let poses = before.states.iter().zip(&after.states);
     poses.fold([0.0, 0.0], |[moved_m, turned_rad], (before, after)| {
         let step = before.nav.world_from_rig.inverse() * after.nav.world_from_rig;

@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use super::config::UNLIKELY_SIGMAS;
 use super::in_view::InView;
+use super::recorded_walk::RecordedWalk;
 use super::report::{GroundTruthReport, GroundTruthWarning, LeftOutReason, Span};
 use super::walk::Walk;
-use crate::frames::{FeatureFrame, ReadFrames};
+use crate::frames::FeatureFrame;
 
 /// A walk that fits its place so many times as well as any other is unmistakable.
 const UNMISTAKABLE: f64 = 2.0;
@@ -25,10 +26,9 @@ pub(super) fn out_of_reach(frames: &[FeatureFrame], reach: &Range<usize>) -> Vec
 /// By what was left out and what was read.
 pub(super) fn warnings(
     report: &GroundTruthReport,
-    read: &ReadFrames,
-    frozen: u64,
-    (damaged_samples, frozen_secs): (u64, f64),
+    recorded: &RecordedWalk,
 ) -> Vec<GroundTruthWarning> {
+    let read = &recorded.read;
     let mut warnings = Vec::new();
     for reason in LeftOutReason::ALL {
         let spans = report.left_out.iter().filter(|s| s.reason == reason);
@@ -57,10 +57,13 @@ pub(super) fn warnings(
     let counted = [
         some(report.imu_gaps).map(|intervals| GroundTruthWarning::ImuGaps { intervals }),
         some(read.damaged).map(|images| GroundTruthWarning::DamagedImages { images }),
-        some(damaged_samples).map(|samples| GroundTruthWarning::DamagedSamples { samples }),
+        some(recorded.damaged_samples)
+            .map(|samples| GroundTruthWarning::DamagedSamples { samples }),
+        some(recorded.repeated_samples)
+            .map(|samples| GroundTruthWarning::RepeatedSamples { samples }),
         some(read.repeated_stamps).map(|images| GroundTruthWarning::RepeatedStamps { images }),
-        some(frozen).map(|images| GroundTruthWarning::FrozenImages { images }),
-        GroundTruthWarning::of_frozen_samples(frozen_secs),
+        some(recorded.frozen).map(|images| GroundTruthWarning::FrozenImages { images }),
+        GroundTruthWarning::of_frozen_samples(recorded.frozen_secs),
     ];
     warnings.extend(counted.into_iter().flatten());
     warnings

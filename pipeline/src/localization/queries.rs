@@ -234,9 +234,9 @@ pub fn localize_recording_in_stages(
     let found = localize_frames(localizer, &read.frames, &rig, stages, progress)?;
     let times: Vec<Timestamp> = read.frames.iter().map(|frame| frame.time).collect();
     let found = refuse_hardly_recognised(&times, refuse_contradicted(&times, found));
-    let (samples, damaged_samples) = read_imu_if_any(recording)?;
+    let imu = read_imu_if_any(recording)?;
     let known = Known {
-        samples: &samples,
+        samples: &imu.samples,
         times: &times,
     };
     let found = localize_lost(
@@ -257,7 +257,7 @@ pub fn localize_recording_in_stages(
                 found,
             })
             .collect(),
-        damaged: read.damaged + damaged_samples,
+        damaged: read.damaged + imu.damaged,
     })
 }
 

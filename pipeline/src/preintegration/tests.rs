@@ -436,9 +436,10 @@ fn euroc_seconds_end_where_an_independent_integration_does() {
             "{name}: rotation {:.3} deg, velocity {:.3} m/s, position {:.3} m",
             found[0], found[1], found[2]
         );
+        // Better is no fault. Worse they are by 9 % at most (docs/figures.md).
         for (found, expected) in found.iter().zip([rotation_deg, velocity, position]) {
             assert!(
-                (found / expected - 1.0).abs() < 0.15,
+                *found < 1.12 * expected,
                 "{name}: {found} against {expected}"
             );
         }

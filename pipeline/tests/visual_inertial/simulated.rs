@@ -6,7 +6,7 @@ use lsfb_geometry::{
 };
 use lsfb_pipeline::features::{Descriptor, Features, Keypoint};
 use lsfb_pipeline::ground_truth::{
-    Motion, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
+    Beginning, Motion, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
 };
 use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
@@ -35,6 +35,23 @@ const NOISE: ImuNoiseModel = ImuNoiseModel {
     accel_bias_walk: 1e-3,
 };
 
+/// How a walk begins, seconds of rest; it starts softly.
+#[derive(Clone, Copy)]
+struct Rest(f64);
+
+const NO_REST: Rest = Rest(0.0);
+
+impl Rest {
+    /// Seconds of the same walk without it.
+    fn walked(self, secs: f64) -> f64 {
+        let moving = (secs - self.0).max(0.0);
+        match self.0 > 0.0 {
+            true => moving * moving / (moving + 0.5),
+            false => secs,
+        }
+    }
+}
+
 /// Where the device is.
 fn truth(secs: f64, phase: f64) -> Se3 {
     let wave = |rate: f64, shift: f64| (rate * secs + shift + phase).sin();
@@ -61,13 +78,13 @@ fn three(random: &mut ChaCha8Rng, sigma: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| sigma * normal(random))
 }
 
-fn samples(secs: f64, phase: f64, random: &mut ChaCha8Rng) -> Vec<Stamped<ImuSample>> {
+fn samples(secs: f64, rest: Rest, phase: f64, random: &mut ChaCha8Rng) -> Vec<Stamped<ImuSample>> {
     let (gyro_bias, accel_bias) = (three(random, 5e-3), three(random, 0.05));
     let count = ((secs + 0.2) / SAMPLE_SECS) as i64;
     let step = 1e-3;
     let measured = |k: i64, random: &mut ChaCha8Rng| {
         let secs = k as f64 * SAMPLE_SECS - 0.1;
-        let [before, now, after] = [-step, 0.0, step].map(|d| truth(secs + d, phase));
+        let [before, now, after] = [-step, 0.0, step].map(|d| truth(rest.walked(secs + d), phase));
         let turn = (before.rotation.inverse() * after.rotation).scaled_axis() / (2.0 * step);
         let acceleration =
             (after.translation - 2.0 * now.translation + before.translation) / (step * step);
@@ -124,9 +141,13 @@ fn seen_from<'a>(
 /// A walk of a seed, with the truth of each frame. The kept images of its last seconds are taken so far aside of where the device is, as if what
 /// they show stood there once more.
 fn walk(seed: u64, all_secs: f64, aside_m: f64) -> (TrackedWalk, Vec<Se3>) {
+    walk_after(NO_REST, seed, all_secs, aside_m)
+}
+
+fn walk_after(rest: Rest, seed: u64, all_secs: f64, aside_m: f64) -> (TrackedWalk, Vec<Se3>) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let phase = random.random_range(0.0..std::f64::consts::TAU);
-    let imu = samples(all_secs, phase, &mut random);
+    let imu = samples(all_secs, rest, phase, &mut random);
     let camera = camera();
     // Walls of a room around.
     let points: Vec<Vector3<f64>> = (0..POINTS)
@@ -145,7 +166,7 @@ fn walk(seed: u64, all_secs: f64, aside_m: f64) -> (TrackedWalk, Vec<Se3>) {
     let (mut next, mut frames, mut poses) = (0, Vec::new(), Vec::new());
     for k in 0..(all_secs / FRAME_SECS) as usize {
         let secs = k as f64 * FRAME_SECS;
-        let pose = truth(secs, phase);
+        let pose = truth(rest.walked(secs), phase);
         let camera_from_world = (pose * camera.rig_from_camera).inverse();
         let mut sights = Vec::new();
         for (point, track) in points.iter().zip(&mut followed) {
@@ -214,6 +235,43 @@ fn errors(found: &Motion, poses: &[Se3]) -> (f64, f64) {
     }
     let count = f64::from(count);
     ((square_m2 / count).sqrt(), f64::from(within) / count)
+}
+
+/// A walk that begins at rest is initialised there: the samples say which way is up, and the gyroscope's bias. One that moves all along is not; nor is
+/// one whose images stand still and whose accelerometer does not feel gravity, which naively stands as well as the first.
+#[test]
+fn a_walk_that_begins_at_rest_is_initialised_there() {
+    const REST_SECS: f64 = 0.8;
+    for (rest, beginning) in [
+        (Rest(REST_SECS), Beginning::Standing),
+        (NO_REST, Beginning::Moving),
+    ] {
+        let (walk, poses) = walk_after(rest, 1, 4.0, 0.0);
+        let found = motion(TrackedWalk {
+            views: Vec::new(),
+            ..walk.clone()
+        });
+        assert_eq!(found.beginning, beginning);
+        let (rms_m, _) = errors(&found, &poses);
+        let up = |pose: &Se3| pose.rotation.inverse() * Vector3::z();
+        let all = found.trajectory.poses();
+        let lean = up(&all[found.first].world_from_rig).angle(&up(&poses[found.first]));
+        println!(
+            "{beginning:?}: {:.1} mm, {:.2}° from upright",
+            1e3 * rms_m,
+            lean.to_degrees()
+        );
+        assert!(rms_m < 0.03, "{beginning:?}: {rms_m} m");
+        assert!(lean < 0.02, "{beginning:?}: {lean} rad");
+    }
+    let (mut walk, _) = walk_after(Rest(REST_SECS), 1, 2.0, 0.0);
+    for sample in &mut walk.imu {
+        let force = &mut sample.sample.specific_force_m_s2;
+        *force = force.map(|f| f / 9.80665);
+    }
+    let found = motion_without_map(&walk, None, &MotionConfig::default(), &no_progress);
+    let begun = found.ok().map(|motion| motion.beginning);
+    assert_ne!(begun, Some(Beginning::Standing));
 }
 
 /// Of a walk that comes back to what it saw, less drift is left where that is recognised; the covariances know it.

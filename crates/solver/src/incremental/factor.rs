@@ -122,6 +122,12 @@ impl Factor {
         }
     }
 
+    /// Blocks that are eliminated together with a block.
+    pub fn beside(&self, block: usize) -> impl Iterator<Item = usize> + '_ {
+        let group = &self.groups[self.group(block)];
+        group.blocks.iter().map(|b| *b as usize)
+    }
+
     /// Groups from `first` on are no longer up to date.
     fn discard(&mut self, first: usize) {
         let first = first.min(self.valid);

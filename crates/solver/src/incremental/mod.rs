@@ -116,7 +116,7 @@ pub struct UpdateReport {
 /// A problem that grows, kept solved.
 ///
 /// The factor of the reduced system is kept in the order in which blocks came: a new keyframe only reaches the columns of
-/// those it shares something with. Eliminated points, linearizations and columns that a change does not reach are used as
+/// those it shares something with; what a loop reaches that came long before is moved to the end. Eliminated points, linearizations and columns that a change does not reach are used as
 /// they are. What is new is solved by itself first, and what hangs together with it moves afterwards: until then forces do
 /// not cancel, and would bend all of a long trajectory for nothing. Updates are as exact as their thresholds:
 /// [`Incremental::cost`] is that of a cold solve far within 1e-6 of it, up to open chains of a thousand poses: in longer ones

@@ -21,6 +21,12 @@ const MARGIN: usize = 8;
 /// everything else. Ten times and more saves more, but forces that do not cancel yet then bend long open chains.
 const NEAR_LOOSER: f64 = 5.0;
 
+/// Blocks in more groups than so many before the last are far: where something new reaches them, a loop closes.
+const FAR: usize = 100;
+
+/// So many groups at least are moved to the end of the order then: what comes next reaches those beside them.
+const MOVED_TOGETHER: usize = 50;
+
 /// One of so many points of a block is looked at before the others, where it has at least twice as many.
 const SAMPLED: usize = 16;
 
@@ -49,6 +55,8 @@ pub(super) struct Kept {
     moved: Marks,
     looked_at: Marks,
     sampled: Vec<usize>,
+    /// Blocks that are moved to the end of the order of elimination.
+    moving: Marks,
     /// Points that were looked at, and whose models are true.
     true_points: Marks,
     updates: usize,
@@ -181,6 +189,8 @@ impl Kept {
             .filter(|b| factor.has(*b) && !system.is_reduced(steps, *b))
             .collect();
         factor.remove(steps, &gone);
+        self.move_reached(problem);
+        let (steps, factor) = (&self.steps, &mut self.factor);
         let new = self.stale.all().iter();
         let blocks = new.flat_map(|k| problem.blocks_of(ResidualId(*k)));
         let mut blocks: Vec<usize> = blocks
@@ -191,6 +201,70 @@ impl Kept {
         blocks.dedup();
         factor.append(steps, &blocks);
         Ok(())
+    }
+
+    /// Moves what is far and reached by something new to the end of the order of elimination, with what is beside it. Where a loop closes, all columns
+    /// between would have rows of all that comes at its end, and be made anew in each round; so they are made once, and have rows of
+    /// the few at whose side the loop was cut.
+    fn move_reached(&mut self, problem: &Problem) {
+        let Some(last) = self.factor.groups().checked_sub(FAR) else {
+            return;
+        };
+        let (steps, system, factor) = (&self.steps, &self.system, &self.factor);
+        let is_far = |block: usize| factor.has(block) && factor.group(block) < last;
+        let (mut reached, moving) = (Vec::new(), &mut self.moving);
+        for k in self.stale.all() {
+            for block in problem.blocks_of(ResidualId(*k)) {
+                match steps.part(block.0) {
+                    Part::Held => {}
+                    Part::Reduced => reached.push(block.0),
+                    Part::Point => reached.extend(system.blocks_at(block.0)),
+                }
+            }
+        }
+        let mut groups = 0;
+        let mut add = |block: usize, moving: &mut Marks| {
+            if is_far(block) && !moving.has(block) {
+                groups += 1;
+                for beside in factor.beside(block) {
+                    moving.add(beside);
+                }
+            }
+            groups
+        };
+        for block in reached {
+            add(block, moving);
+        }
+        let mut next = 0;
+        while let Some(block) = moving.all().get(next).copied() {
+            next += 1;
+            for point in system.points_of(block) {
+                for other in system.blocks_at(*point as usize) {
+                    if add(other, moving) >= MOVED_TOGETHER {
+                        next = usize::MAX;
+                    }
+                }
+            }
+        }
+        // A coupling stands in the column of that which is eliminated first.
+        for block in moving.all() {
+            self.reached.add(*block);
+            for point in system.points_of(*block) {
+                for other in system.blocks_at(*point as usize) {
+                    self.reached.add(other);
+                }
+            }
+            for k in system.bare_of(*block) {
+                for other in problem.blocks_of(ResidualId(*k as usize)) {
+                    self.reached.add(other.0);
+                }
+            }
+        }
+        let mut moved = moving.all().to_vec();
+        moving.clear();
+        moved.sort_by_key(|block| factor.place()[*block]);
+        self.factor.remove(&self.steps, &moved);
+        self.factor.append(&self.steps, &moved);
     }
 
     /// Linearizes what is stale, and marks the points and blocks whose equations that changes. `false` where the cost rose.

@@ -101,6 +101,11 @@ impl System {
         &self.points[block]
     }
 
+    /// Reduced blocks that share residuals with a point.
+    pub fn blocks_at(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
+        self.eliminated[point].pairs.iter().map(|p| p[0] as usize)
+    }
+
     /// Whether a block has columns in the factor: reduced, and read by a residual.
     pub fn is_reduced(&self, steps: &Steps, block: usize) -> bool {
         steps.part(block) == Part::Reduced && !self.residuals_of(block).is_empty()

@@ -130,6 +130,57 @@ fn in_a_map_poses_are_those_of_the_optimum_and_work_does_not_grow() {
     }
 }
 
+/// With the order of elimination in which keyframes came, each round of each update at a loop made all columns anew, with rows of all keyframes of the
+/// loop: the last of these took 3.5 s at 2 000 keyframes, where a cold solve took 0.43.
+#[test]
+fn a_loop_makes_the_columns_between_anew_once() {
+    const KEYFRAMES: usize = 320;
+    // Without a map everything turns a little with each update, and is linearized anew in any order.
+    for (map_percent, most, farthest_allowed_m) in [(20, 0.5, 1e-6), (0, 1.0, 1e-3)] {
+        let walk = Walk::in_map(KEYFRAMES, 60, map_percent, 6);
+        let mut growing =
+            Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+        let mut added = Added::default();
+        let of_first = |(number, _): &(usize, _)| {
+            walk.keyframes[0]
+                .seen
+                .iter()
+                .any(|(other, _)| other == number)
+        };
+        let (mut is_closed, mut anew, mut rounds) = (false, 0, 0);
+        for k in 0..KEYFRAMES {
+            is_closed |= k > KEYFRAMES / 2 && walk.keyframes[k].seen.iter().any(of_first);
+            added
+                .add(&walk, &mut Target::Growing(&mut growing), None)
+                .expect("blocks fit");
+            let report = growing.update().expect("updates");
+            assert!(report.converged && !report.solved_cold, "{k}: {report:?}");
+            if is_closed {
+                anew += report.factored_columns;
+                rounds += report.rounds;
+            }
+            if k % 4 == 0 && k > 300 || k + 1 == KEYFRAMES {
+                let mut optimum = growing.snapshot();
+                let least = solve_to_the_last_digit(&mut optimum).expect("solves");
+                let above = growing.cost() / least - 1.0;
+                assert!(above < 1e-8, "keyframe {k}: {above:.1e}");
+                let poses = added.poses.iter();
+                let apart_m = farthest_m(poses.map(|p| (growing.value(*p), optimum.value(*p))));
+                assert!(
+                    apart_m < farthest_allowed_m,
+                    "keyframe {k}: {apart_m:.1e} m"
+                );
+            }
+        }
+        assert!(rounds > 50, "{rounds} rounds at the loop");
+        let share = anew as f64 / (rounds * KEYFRAMES) as f64;
+        assert!(
+            share < most,
+            "{map_percent} %: {share:.2} of all columns in a round of the loop"
+        );
+    }
+}
+
 #[test]
 fn what_is_removed_leaves_no_trace() {
     let walk = Walk::new(30, 40, 4);

@@ -143,6 +143,7 @@ fn a_frozen_camera_and_a_stamp_given_twice_are_said_and_move_nothing() {
     });
     let frozen = frozen.expect("frozen at the end");
     assert_eq!(warned(&frozen), ["frozen-images"]);
+    assert_eq!(frozen.report.frozen_share(), 0.25);
     assert!(worst_m(&frozen) < 0.03, "{} m", worst_m(&frozen));
 
     let twice = walked(&map, &rig(), |m| {
@@ -158,6 +159,33 @@ fn a_frozen_camera_and_a_stamp_given_twice_are_said_and_move_nothing() {
     let twice = twice.expect("a stamp given twice");
     assert_eq!(warned(&twice), ["repeated-stamps"]);
     assert!(worst_m(&twice) < 0.01, "{} m", worst_m(&twice));
+    assert_eq!(twice.report.frozen_share(), 0.0);
+}
+
+/// Nothing is lost by messages that were recorded twice, and it is said; what has the stamp of another measurement is lost. A walk without any
+/// raises nothing (`a_recorded_walk_is_placed_in_its_map_and_refused_in_another`).
+#[test]
+fn inertial_samples_that_came_twice_are_counted_and_said() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("walk.mcap");
+    let mut measured = Measured::in_room(Paint::of(1), 1);
+    let whole = measured.imu.clone();
+    let twice: Vec<_> = whole.iter().step_by(3).cloned().collect();
+    let mut other = whole[10].clone();
+    other.sample.specific_force_m_s2[0] += 1.0;
+    measured.imu.extend(twice.iter().cloned().chain([other]));
+    measured.record(&path, &rig());
+    let recording = Recording::open(&path).expect("a recording");
+    let recorded = RecordedWalk::read(&recording, &GroundTruthConfig::default(), &no_progress);
+    let recorded = recorded.expect("read");
+    let found = (recorded.repeated_samples, recorded.damaged_samples);
+    assert_eq!(found, (twice.len() as u64, 1));
+    assert_eq!(recorded.imu.len(), whole.len());
+    let said = GroundTruthWarning::RepeatedSamples { samples: found.0 }.finding();
+    assert_eq!(
+        (said.code.as_ref(), said.verdict),
+        ("repeated-samples", Verdict::Warn)
+    );
 }
 
 /// Three seconds in which nothing is seen, neither the map nor anything else: the IMU alone carries them, and says how surely.

@@ -104,7 +104,7 @@ fn verdict(findings: &[Finding], code: &str) -> Option<Verdict> {
 #[test]
 fn errors_of_an_imu_are_found_and_named_and_bend_nothing() {
     let right = found(InertialPriors::default(), |_| {});
-    let findings = [&right.imu.findings()[..], &right.map.findings()].concat();
+    let findings = [&right.imu.findings()[..], &right.map.findings(0.0)].concat();
     assert!(
         findings.iter().all(|f| f.verdict == Verdict::Pass),
         "{findings:?}"
@@ -274,8 +274,16 @@ fn a_map_of_another_scale_and_one_that_leans_are_said() {
     ];
     for (scale, lean_deg, code, expected) in wrong {
         let found = in_map(scale, lean_deg);
-        let findings = found.map.findings();
+        // A few frozen images are no reason to be silent.
+        let findings = found.map.findings(0.02);
         assert_eq!(verdict(&findings, code), Some(expected), "{:?}", found.map);
+        // Of a walk that a camera's frozen images cut in two, a few percent are the IMU's drift: that was said of the map too.
+        let of_frozen = match (code, expected) {
+            ("map-scale", Verdict::Warn) => Verdict::Unknown,
+            _ => expected,
+        };
+        let findings = found.map.findings(0.3);
+        assert_eq!(verdict(&findings, code), Some(of_frozen), "{:?}", found.map);
         let told = found.map.scale.expect("moves");
         let off = told.too_large_percent - 100.0 * (1.0 - f64::recip(scale));
         assert!(off.abs() < 3.0 * told.sigma_percent, "{told:?} of {scale}");

@@ -12,7 +12,8 @@ use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::estimate::Estimate;
 use crate::ground_truth::inertial::any_motion;
 use crate::ground_truth::optimization::{Anchor, Optimized, choose_observations, optimize};
-use crate::ground_truth::report::local_errors;
+use crate::ground_truth::report::{GroundTruthWarning, local_errors};
+use crate::ground_truth::settling::{farthest, is_few, not_at_rest};
 use crate::ground_truth::walk::{FrameState, Walk};
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
@@ -24,10 +25,6 @@ const MEMORY_SECS: f64 = 4.0;
 const GROWTH: f64 = 1.5;
 /// Share of the cost below which a solve on the way ends.
 const ON_THE_WAY: f64 = 1e-4;
-/// Rounds at most in which observations come and go in the end.
-const ROUNDS: usize = 6;
-/// They have settled once fewer than one in so many comes or goes.
-const SETTLED: usize = 1000;
 /// A beginning is sound where it places this many points, and sees them this well.
 const FEWEST_POINTS: usize = 15;
 const LARGEST_ERROR_PX: f64 = 2.0;
@@ -40,6 +37,8 @@ pub(super) struct Settled {
     pub anchor: Anchor,
     /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.
     pub config: GroundTruthConfig,
+    /// What still changed when the rounds were done; `None` where observations have settled.
+    pub unrest: Option<GroundTruthWarning>,
 }
 
 /// States of a stretch of the walk.
@@ -148,31 +147,57 @@ impl<'a> Extension<'a> {
             last: self.settle_all(&on_the_way(config), progress)?,
             anchor: self.anchor(),
             config: config.clone(),
+            unrest: None,
         })
     }
 
-    /// Solves all frames until no observation comes or goes any more.
+    /// Solves all frames until no observation comes or goes any more, in so many rounds at most.
     pub fn finish(
         mut self,
         config: &GroundTruthConfig,
+        rounds: usize,
         progress: ProgressFn<'_>,
     ) -> Result<Settled, Error> {
         let mut last = self.settle_all(config, progress)?;
         let mut used = config.clone();
-        for _ in 0..ROUNDS {
+        let mut moved = [0.0; 2];
+        let mut at_rest = false;
+        for _ in 0..rounds {
             let allowing = used.inertial.allowing(&last.imu_errors);
             let is_allowed = allowing.is_some();
             used.inertial = allowing.unwrap_or(used.inertial);
+            let before = last.estimate.clone();
             let changed = self.solve_again(&mut last, &used, is_allowed, progress)?;
-            if !is_allowed && changed * SETTLED < last.report.residuals {
+            moved = farthest(&before, &last.estimate);
+            at_rest = !is_allowed && is_few(changed, &last);
+            if at_rest {
                 break;
             }
         }
+        let unrest = match at_rest {
+            true => None,
+            false => self.unrest(&last, &used, (rounds, moved)),
+        };
         Ok(Settled {
             last,
             anchor: self.anchor(),
             config: used,
+            unrest,
         })
+    }
+
+    /// Whether the last round was enough shows in what another one would change.
+    fn unrest(
+        &self,
+        last: &Optimized,
+        used: &GroundTruthConfig,
+        (rounds, moved): (usize, [f64; 2]),
+    ) -> Option<GroundTruthWarning> {
+        let (mut walk, mut points) = (self.part(&(self.first..self.end())), last.points.clone());
+        let changing = choose_observations(&mut walk, &last.estimate, &mut points, used);
+        let allowing = used.inertial.allowing(&last.imu_errors);
+        let is_settled = allowing.is_none() && is_few(changing, last);
+        (!is_settled).then(|| not_at_rest(rounds, changing, moved))
     }
 
     /// What holds all of the frames.
@@ -351,5 +376,147 @@ fn led_back(change: &PreintegratedImu, end: &NavState, bias: &ImuBias) -> NavSta
     NavState {
         world_from_rig: lsfb_geometry::Se3::new(rotation, position),
         velocity_m_s,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{
+        Camera, CameraTiming, ImuNoiseModel, Matrix3, RigCamera, Se3, UnitQuaternion, Vector3,
+    };
+    use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+
+    use super::super::{Sight, TrackedFrame, TrackedWalk, empty_frame};
+    use super::*;
+    use crate::ground_truth::settling::ROUNDS;
+    use crate::residuals::MovingCamera;
+
+    const FRAMES: usize = 25;
+    const FRAME_SECS: f64 = 0.1;
+
+    fn state(secs: f64) -> FrameState {
+        let way = |t: f64| {
+            let (a, b) = (2.0 * t, 3.0 * t);
+            Vector3::new(0.4 * a.sin(), 0.3 * b.sin(), 0.2 * a.cos())
+        };
+        let h = 1e-5;
+        FrameState {
+            nav: NavState {
+                world_from_rig: Se3::new(UnitQuaternion::identity(), way(secs)),
+                velocity_m_s: (way(secs + h) - way(secs - h)) / (2.0 * h),
+            },
+            bias: ImuBias::default(),
+        }
+    }
+
+    /// Two cameras carried along a wall by somebody who never turns; readings of the accelerometer are so many times too large.
+    fn walk(too_strong: f64) -> TrackedWalk {
+        let forward = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+        let camera = |y_m: f64| RigCamera {
+            camera: Camera::pinhole(640, 480, [320.0; 2], [319.5, 239.5]),
+            rig_from_camera: Se3::new(
+                UnitQuaternion::from_matrix(&forward),
+                Vector3::new(0.0, y_m, 0.0),
+            ),
+            timing: CameraTiming::default(),
+            sigmas: Default::default(),
+        };
+        let cameras = vec![camera(0.05), camera(-0.05)];
+        let points = (0..48u32).map(|k| {
+            let (column, row) = (f64::from(k % 8) - 3.5, f64::from(k / 8) - 2.5);
+            Vector3::new(4.0 + 0.3 * column.sin(), 0.4 * column, 0.4 * row)
+        });
+        let points: Vec<_> = points.collect();
+        let frames = (0..FRAMES).map(|k| {
+            let secs = k as f64 * FRAME_SECS;
+            let pose = state(secs).nav.world_from_rig;
+            let sights = cameras.iter().enumerate().flat_map(|(index, camera)| {
+                let camera_from_world = (pose * camera.rig_from_camera).inverse();
+                (0..).zip(&points).filter_map(move |(track, point)| {
+                    let pixel = camera.camera.project(&(camera_from_world * *point))?;
+                    Some(Sight {
+                        track,
+                        camera: index,
+                        pixel,
+                    })
+                })
+            });
+            TrackedFrame {
+                time: Timestamp::from_secs_f64(secs),
+                sights: sights.collect(),
+            }
+        });
+        let frames = frames.collect();
+        let sample = |k: i64| {
+            let (secs, h) = (k as f64 * 0.005, 1e-3);
+            let velocity = |t: f64| state(t).nav.velocity_m_s;
+            let acceleration = (velocity(secs + h) - velocity(secs - h)) / (2.0 * h);
+            let time = Timestamp::from_secs_f64(secs);
+            Stamped {
+                time,
+                arrival: time,
+                device_ticks: 0,
+                sample: ImuSample {
+                    angular_velocity_rad_s: [0.0; 3],
+                    specific_force_m_s2: (too_strong * (acceleration - standard_gravity_m_s2()))
+                        .into(),
+                },
+            }
+        };
+        TrackedWalk {
+            cameras,
+            frames,
+            imu: (-40..540).map(sample).collect(),
+            noise: ImuNoiseModel {
+                gyro_noise_density: 1e-3,
+                accel_noise_density: 2e-3,
+                gyro_bias_walk: 1e-5,
+                accel_bias_walk: 1e-4,
+            },
+            views: Vec::new(),
+        }
+    }
+
+    /// What is said after so many rounds; and after the last one, if the first sight of each point were still to come.
+    fn unrest(too_strong: f64, rounds: usize) -> [Option<GroundTruthWarning>; 2] {
+        let tracked = walk(too_strong);
+        let tracks = Tracks::of(&tracked);
+        let walk = Walk {
+            cameras: tracked.cameras.iter().map(MovingCamera::new).collect(),
+            frames: tracked.frames.iter().map(|f| empty_frame(f.time)).collect(),
+            imu: tracked.imu.clone(),
+            noise: tracked.noise.clone(),
+            noise_factors: Default::default(),
+            point_covariances_m2: Default::default(),
+        };
+        let states = (0..FRAMES).map(|k| state(k as f64 * FRAME_SECS));
+        let extension = Extension::of(&walk, &tracks, 0, states.collect());
+        let config = GroundTruthConfig::default();
+        let settled = extension.clone().finish(&config, rounds, &no_progress);
+        let Settled {
+            mut last, unrest, ..
+        } = settled.expect("solves");
+        for point in &mut last.points {
+            point.observations[0].used = false;
+        }
+        let to_come = extension.unrest(&last, &config, (rounds, [0.0; 2]));
+        [unrest, to_come]
+    }
+
+    /// Rounds ended without a word, whatever another one would have changed; of a walk that needs none, nothing is said.
+    #[test]
+    fn what_has_not_settled_is_said_and_what_has_is_not() {
+        let [settled, to_come] = unrest(1.0, 0);
+        assert_eq!(settled, None);
+        assert!(
+            matches!(
+                to_come,
+                Some(GroundTruthWarning::NotAtRest { changing: 20.., .. })
+            ),
+            "{to_come:?}"
+        );
+        // An accelerometer that reads too much is allowed for, and that settles too.
+        let [settled, _] = unrest(1.2, ROUNDS);
+        assert_eq!(settled, None);
     }
 }

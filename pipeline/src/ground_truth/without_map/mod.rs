@@ -27,7 +27,10 @@ use serde::{Deserialize, Serialize};
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
-use super::report::{CameraRefinement, ReprojectionErrors, local_errors, refinements};
+use super::report::{
+    CameraRefinement, GroundTruthWarning, ReprojectionErrors, local_errors, refinements,
+};
+use super::settling::ROUNDS;
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
@@ -123,6 +126,8 @@ pub struct Motion {
     /// How far each camera had to be moved, turned, zoomed or set from what is stated of it: beyond three of the standard deviations that
     /// the settings give these it is not as stated, and the motion is bent. Their names are their numbers.
     pub cameras: Vec<CameraRefinement>,
+    /// Where observations still came or went when the rounds of choosing them and solving were done.
+    pub unrest: Option<GroundTruthWarning>,
 }
 
 /// Largest share of the followed sights that may fit no point: up to 0.12 in motions that are right, 0.87 in one without a gyroscope.
@@ -167,7 +172,10 @@ pub fn motion_without_map(
     };
     extension.extend(config, progress)?;
     let (settled, revisits) = match walk.views.is_empty() {
-        true => (extension.finish(config, progress)?, Revisits::default()),
+        true => (
+            extension.finish(config, ROUNDS, progress)?,
+            Revisits::default(),
+        ),
         false => finish_closed(walk, &inner, &tracks, extension, settings, progress)?,
     };
     let solved = &settled.last;
@@ -211,6 +219,7 @@ pub fn motion_without_map(
         errors_before,
         contradicted_share,
         cameras: refinements(numbers, &solved.estimate, &uncertainty.corrections, config),
+        unrest: settled.unrest.clone(),
     })
 }
 
@@ -272,7 +281,7 @@ fn finish_closed(
             }
             None => extension.clone(),
         };
-        let settled = extension.finish(&config.adjustment, progress)?;
+        let settled = extension.finish(&config.adjustment, ROUNDS, progress)?;
         if !loops.open_misfits(&settled) {
             return Ok((settled, loops.revisits()));
         }

@@ -11,7 +11,7 @@ use super::{
     FrontEnd, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
 };
 use crate::Error;
-use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
+use crate::frames::{ReadImu, SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
 use crate::ground_truth::frozen_samples;
 use crate::ground_truth::report::GroundTruthWarning;
@@ -136,13 +136,18 @@ fn follow(
     if names.is_empty() {
         return Err(missing("camera"));
     }
-    let (mut imu, damaged_samples) = read_imu(recording)?;
+    let ReadImu {
+        samples: mut imu,
+        damaged: damaged_samples,
+        repeated: repeated_samples,
+    } = read_imu(recording)?;
     if imu.is_empty() {
         return Err(missing("IMU"));
     }
     let frozen_secs = frozen_samples::take_out(&mut imu)?;
     let mut read = Read {
         damaged_samples,
+        repeated_samples,
         frozen_secs,
         ..Read::default()
     };
@@ -170,7 +175,7 @@ keep_fields! {
     Sight { track, camera, pixel }
     TrackedFrame { time, sights }
     WalkView { frame, camera, features }
-    Read { images, damaged_images, damaged_samples, repeated_stamps, frozen_images, frozen_secs }
+    Read { images, damaged_images, damaged_samples, repeated_samples, repeated_stamps, frozen_images, frozen_secs }
 }
 
 /// Pushes the images of each instant into the front end.

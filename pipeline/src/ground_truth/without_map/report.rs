@@ -20,6 +20,7 @@ pub(super) struct Read {
     pub images: u64,
     pub damaged_images: u64,
     pub damaged_samples: u64,
+    pub repeated_samples: u64,
     pub repeated_stamps: u64,
     pub frozen_images: u64,
     pub frozen_secs: f64,
@@ -139,6 +140,8 @@ impl MotionReport {
             some(read.damaged_images).map(|images| GroundTruthWarning::DamagedImages { images }),
             some(read.damaged_samples)
                 .map(|samples| GroundTruthWarning::DamagedSamples { samples }),
+            some(read.repeated_samples)
+                .map(|samples| GroundTruthWarning::RepeatedSamples { samples }),
             some(read.repeated_stamps).map(|images| GroundTruthWarning::RepeatedStamps { images }),
             some(read.frozen_images).map(|images| GroundTruthWarning::FrozenImages { images }),
             GroundTruthWarning::of_frozen_samples(read.frozen_secs),
@@ -163,7 +166,11 @@ impl MotionReport {
             imu: motion.imu.clone(),
             path_length_m: trajectory.path_length_m(),
             largest_position_sigma_m: sigmas.fold(0.0, f64::max),
-            warnings: counted.into_iter().flatten().collect(),
+            warnings: counted
+                .into_iter()
+                .flatten()
+                .chain(motion.unrest.clone())
+                .collect(),
         }
     }
 
@@ -210,7 +217,7 @@ impl MotionReport {
         findings.extend(self.imu.findings());
         findings.extend(self.left_out_findings());
         findings.extend(self.cameras.iter().map(|camera| self.of_camera(camera)));
-        findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
+        findings.extend(self.warnings.iter().map(of_warning));
         findings
     }
 
@@ -244,6 +251,17 @@ impl MotionReport {
             true => camera.finding(),
             false => camera.off(self.max_camera_off_sigmas),
         }
+    }
+}
+
+/// As of a walk that has no map.
+fn of_warning(warning: &GroundTruthWarning) -> Finding {
+    let finding = warning.finding();
+    match warning {
+        GroundTruthWarning::NotAtRest { .. } => finding.remedy(
+            "check the calibration of the device, and whether moving objects fill the images",
+        ),
+        _ => finding,
     }
 }
 

@@ -13,7 +13,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::MappingConfig;
 use crate::Error;
-use crate::frames::read_imu_if_any;
+use crate::frames::{ReadImu, read_imu_if_any};
 use crate::inertial_blocks::{
     StateBlocks, USUAL_ACCEL_BIAS_M_S2, USUAL_GYRO_BIAS_RAD_S, about, add_bias_walks, add_samples,
     inflated,
@@ -76,7 +76,11 @@ impl RecordedImu {
                 "its rig file says that the IMU has no noise, or a constant bias",
             ));
         }
-        let (mut samples, damaged) = read_imu_if_any(recording)?;
+        let ReadImu {
+            mut samples,
+            damaged,
+            ..
+        } = read_imu_if_any(recording)?;
         if samples.len() < 2 {
             return Err(refused("it has no IMU samples"));
         }

@@ -1,6 +1,7 @@
 //! `lsfb bench ba`: what a keyframe costs while a problem grows, ours and that of other solvers, as in the paper's Fig. 4.
 
 mod page;
+mod peer;
 mod problem;
 mod runs;
 
@@ -13,6 +14,7 @@ use crate::context::Context;
 use crate::files::{named_path, write};
 use crate::outcome::Outcome;
 use page::page_of;
+use peer::{Program, program};
 use problem::Grown;
 use runs::{Run, Summary, read_run};
 
@@ -21,11 +23,13 @@ use runs::{Run, Summary, read_run};
 /// The problem is a simulated walk with a stereo camera that closes a loop at its end; it is written to
 /// problem.txt. A peer is a program that reads that file and writes one line per keyframe: its number
 /// from 1, CPU milliseconds of the update, cost after it (benches/solver/README.md has one for GTSAM).
-/// Writes problem.txt, incremental.csv, batch.csv and ba.html.
+/// With --run it is run in the same run as ours, with the names of both files behind its other arguments.
+/// Writes problem.txt, incremental.csv, batch.csv and ba.html, and peer-NAME.csv and .log of what was run.
 ///
 /// Examples:
 ///   lsfb bench ba --out ba
 ///   lsfb bench ba --out ba --force --peer ISAM2=isam2.csv
+///   lsfb bench ba --out ba --run ISAM2=./isam2_walk.sh
 ///   lsfb bench ba --out ba --keyframes 2000 --map-percent 20 --batch-every 100
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -52,6 +56,10 @@ pub struct Arguments {
     /// Result of another solver on the same problem; may be repeated.
     #[arg(long, value_name = "NAME=FILE", value_parser = named_path)]
     peer: Vec<(String, PathBuf)>,
+    /// Another solver to run on the problem after ours, with its arguments, split at spaces; may be
+    /// repeated.
+    #[arg(long, value_name = "NAME=COMMAND", value_parser = program)]
+    run: Vec<Program>,
 }
 
 #[derive(Serialize)]
@@ -75,6 +83,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for result in [&problem, &incremental, &batch, &page] {
         context.claim(result, &inputs)?;
     }
+    for program in &arguments.run {
+        context.claim(&program.result(&arguments.out), &inputs)?;
+        context.claim(&program.log(&arguments.out), &inputs)?;
+    }
     let peers = arguments.peer.iter();
     let peers: Vec<Run> = peers
         .map(|(name, path)| read_run(name, path, arguments.keyframes))
@@ -87,6 +99,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let poses_apart_m = grown.poses_apart_m;
     let mut runs = vec![grown.incremental, grown.batch];
     runs.extend(peers);
+    for program in &arguments.run {
+        runs.push(program.run(&problem, &arguments.out, arguments.keyframes, context)?);
+    }
     let printed = Printed {
         keyframes: arguments.keyframes,
         points,

@@ -2,12 +2,14 @@
 
 mod at_once;
 mod cost;
+mod in_view;
 mod judging;
 mod page;
 mod result;
 mod rigs;
 mod scan;
 mod session;
+mod summary;
 mod trial;
 
 use std::collections::BTreeMap;
@@ -32,6 +34,7 @@ use rigs::{Bearer, Calibrated, Rigs, calibrated, true_rig};
 use scan::Scan;
 use session::Refusable;
 pub use session::refusal;
+use summary::Group;
 pub use trial::OTHER_FLOOR;
 use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 
@@ -114,6 +117,8 @@ const PAGE: &str = "report.html";
 #[derive(Serialize)]
 struct Printed<'a> {
     runs: &'a [Run],
+    /// Walks through places as they were scanned, by the size of the place and the device.
+    groups: &'a [Group],
     page: &'a Path,
 }
 
@@ -214,7 +219,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = |scanned: &Scanned| format!("{} {}", scanned.place.name(), scanned.seed);
     let runs = each_part(&scans, at_once, context, name, runs_of)?;
     let runs = runs.concat();
-    finish(&arguments.out, &runs, context)
+    finish(&arguments.out, &runs, trial.size, context)
 }
 
 /// How far a trial is.
@@ -272,19 +277,25 @@ fn each_once<T: Copy + PartialEq>(chosen: &[T]) -> Vec<T> {
 }
 
 /// Writes and prints the result.
-fn finish(out: &Path, runs: &[Run], context: &Context) -> anyhow::Result<Outcome> {
-    let judgement = result::judge(runs);
+fn finish(out: &Path, runs: &[Run], size: Size, context: &Context) -> anyhow::Result<Outcome> {
+    let judgement = summary::judge(runs, size);
+    let groups = &summary::groups(runs)[..];
     let page = out.join(PAGE);
     let title = "Standard trial in simulated places";
-    crate::files::write(&page, page::html(runs, &judgement, title))?;
-    let printed = Printed { runs, page: &page };
+    crate::files::write(&page, page::html(runs, groups, &judgement, title))?;
+    let printed = Printed {
+        runs,
+        groups,
+        page: &page,
+    };
     let judged = Judged::new(&judgement, &format!("{} runs", runs.len()), &printed);
     crate::files::write(&out.join(RESULT), serde_json::to_vec_pretty(&judged)?)?;
     context.print(&judged, || {
         let text = format!(
-            "{}\n\n{}\n{}See {}",
+            "{}\n\n{}\n\n{}\n{}See {}",
             judged.summary,
             result::table(runs),
+            summary::table(groups),
             judged::problem_lines(&judgement),
             page.display()
         );

@@ -19,9 +19,10 @@ use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
 use crate::commands::models::ModelFolder;
 use crate::context::{Context, sentence};
+use crate::files;
 use crate::simulated::Layout;
 use crate::twin_session::Wanted;
-use crate::twin_truth::{JudgedScan, judge_scan, judge_walk};
+use crate::twin_truth::{JudgedScan, consistency_in_map, judge_scan, judge_walk};
 
 /// What a stage gave, or why it refused: part of the result of a trial, where a full disk or Ctrl-C are not.
 pub type Refusable<T> = Result<T, String>;
@@ -189,25 +190,45 @@ impl Session<'_> {
         let map = crate::commands::open_map(&mapped.map)?;
         let (walk, true_path) = (self.context.open(&recording)?, Trajectory::new(true_poses));
         let from_map = &scan.truth_from_map;
-        let Localized { claimed, right } =
-            judging::localize(&walk, &map, &true_path, from_map, self.context)?
-                .under(walked.condition);
+        let alone = judging::localize(&walk, &map, &true_path, from_map, self.context)?
+            .under(walked.condition);
+        let Localized { claimed, right, .. } = alone;
         (run.localized, run.localized_right) = (Some(claimed), Some(right));
+        run.localized_ate_rms_m = alone.ate_rms_m;
+        // Nothing of another floor is in the map.
+        let has_map = walked.condition != Condition::OtherFloor;
+        let in_view_s = has_map.then_some(whole_s * alone.map_in_view);
+        run.map_in_view_s = in_view_s;
         let found = refusal(found, TRUTH)?;
         match found {
-            Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
+            Err(why) => {
+                (run.refused, run.dropped_s) = (Some(why), whole_s);
+                run.answered_in_view_s = in_view_s.map(|_| 0.0);
+            }
             Ok(found) => {
                 let solved = &found.trajectory;
                 let jitter =
                     judging::jitter(&walk, &map, &true_path, from_map, solved, self.context)?;
                 run.jitter_localized_m = jitter.localized_m;
                 run.jitter_solved_m = jitter.solved_m;
+                let both = jitter.localized_m.zip(jitter.solved_m);
+                run.jitter_ratio = both
+                    .filter(|(_, solved_m)| *solved_m > 0.0)
+                    .map(|(localized_m, solved_m)| localized_m / solved_m);
+                let between = judging::between_frames(solved, &true_path);
+                run.between_frames_m = between.map(|b| b.translation_m);
+                run.between_frames_deg = between.map(|b| b.rotation_deg);
+                let answered = judging::answered(solved, &alone.in_view);
+                run.answered_in_view_s = in_view_s.map(|secs| secs * answered);
                 let report = &found.said.report;
                 (run.doubts, run.failed) = (found.said.doubts(), found.said.is_failed());
                 let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;
                 run.ate_rms_m = Some(judged.own.ate_translation_m.rmse);
                 run.ate_max_m = Some(judged.own.ate_translation_m.max);
                 run.in_map_rms_m = Some(judged.in_map.ate_translation_m.rmse);
+                let covariances = files::beside(&estimate, "covariance");
+                let honest = consistency_in_map(&truth, &covariances, scan.truth_from_map)?;
+                run.within_95 = honest.map(|found| found.within_95);
                 let shaking = |s: &Option<Smoothness>| s.as_ref().and_then(|s| s.above_5_hz_rms_m);
                 let smoothness = &judged.own.smoothness;
                 let both = shaking(&smoothness.estimate).zip(shaking(&smoothness.truth));
