@@ -31,7 +31,7 @@ pub fn hold_against_poses(poses: &Path, matches: &Path, rig: &Rig) -> usize {
     for pose in &poses {
         let of_frame = matches.iter().filter(|m| m["frame"] == pose["frame"]);
         let of_frame: Vec<_> = of_frame.collect();
-        let inliers = pose["inliers"].parse().unwrap_or(0);
+        let inliers: usize = pose["inliers"].parse().unwrap_or(0);
         assert_eq!(of_frame.len(), inliers, "{}", pose["frame"]);
         if inliers == 0 {
             continue;
