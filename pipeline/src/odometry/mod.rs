@@ -93,6 +93,19 @@ pub struct OdometryStep {
 
 /// Whether a scan found its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+impl OdometryStep {
+    /// Whether the steps given before are void: the walk begins with this scan, or with those that come anew.
+    pub fn begins_again(&self) -> bool {
+        self.outcome == StepOutcome::First || !self.anew.is_empty()
+    }
+
+    /// The scans that found their place, those that come anew before the scan itself.
+    pub fn placed(&self) -> impl Iterator<Item = &OdometryStep> {
+        let all = self.anew.iter().chain([self]);
+        all.filter(|step| step.outcome != StepOutcome::Lost)
+    }
+}
+
 pub enum StepOutcome {
     /// The first scan: it defines the map. Scans before it found no place in what the walk began with until then, and have none.
     First,
