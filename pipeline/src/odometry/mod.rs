@@ -18,6 +18,7 @@ mod online;
 mod point_clock;
 mod range_check;
 mod report;
+mod ring_order;
 mod run;
 mod start_scan;
 mod uncertainty;
@@ -45,6 +46,7 @@ pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;
 pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;
+pub use ring_order::AzimuthProblem;
 pub(crate) use run::Damages;
 pub use run::{
     DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, ScanPose, run_odometry, scan_count,

@@ -3,6 +3,7 @@
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::ring_order::AzimuthProblem;
 use super::unseen::UnseenStretch;
 
 /// A loop that contradicts the odometry by more is none: twice what no loop is accepted beyond without a person's word, in standard deviations.
@@ -128,6 +129,9 @@ pub enum OdometryWarning {
     DeskewedByAzimuth {
         /// How many.
         scans: u64,
+        /// Why azimuths tell nothing either, where they were to stand for times.
+        #[serde(default)]
+        azimuths: Option<AzimuthProblem>,
         /// Of how many.
         of: u64,
     },
@@ -321,14 +325,17 @@ impl OdometryWarning {
                 not_believed,
             } => of(
                 "not-deskewed",
-                not_deskewed(*scans, *all, field.as_deref(), *not_believed),
+                not_deskewed(*scans, *all, field.as_deref(), *not_believed)
+                    + &about_azimuths(*azimuths),
             )
             .value(*scans as f64, ""),
-            Self::DeskewedByAzimuth { scans, of: all } => of(
+            Self::DeskewedByAzimuth {
+                scans,
+                of: all,
+                ring_by_ring,
+            } => of(
                 "deskewed-by-azimuth",
-                format!(
-                    "{scans} of {all} scans were deskewed by azimuth, which assumes that their points are in firing order"
-                ),
+                by_azimuth(*scans, *all, *ring_by_ring),
             )
             .value(*scans as f64, ""),
             Self::AccelerometerInGravities => of(
@@ -337,6 +344,7 @@ impl OdometryWarning {
                     .to_owned(),
             ),
             Self::RareScans { interval_s } => of(
+                azimuths,
                 "rare-scans",
                 format!(
                     "scans are {interval_s:.1} s apart: where few of them saw a surface, one may be registered to the wrong surface, and the covariances do not include that"
@@ -555,6 +563,25 @@ mod tests {
         let close =
             |found: Option<f64>, value: f64| found.is_some_and(|f| (f - value).abs() < 1e-9);
         assert!(close(late.value, -45.0) && close(late.sigma, 3.0) && late.unit == "ms");
+fn about_azimuths(problem: Option<AzimuthProblem>) -> String {
+    problem.map_or_else(String::new, |problem| {
+        format!(" (not by azimuth either: {})", problem.sentence())
+    })
+}
+
+fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64) -> String {
+    let these = format!("{scans} of {of} scans were deskewed by azimuth, which assumes that");
+    match ring_by_ring {
+        0 => format!("{these} their points are in firing order"),
+        n if n == scans => format!(
+            "{these} their rings, which follow one another, all begin with the turn of the sensor"
+        ),
+        n => format!(
+            "{these} their points are in firing order, or, in {n} of them, that all rings begin with the turn of the sensor"
+        ),
+    }
+}
+
         assert!(!late.what.contains("without the IMU"), "{}", late.what);
         assert_eq!(
             late.remedy.as_deref(),
