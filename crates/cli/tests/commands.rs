@@ -32,6 +32,7 @@ mod refusal;
 mod report_page;
 mod researchers;
 mod rig_files;
+mod ros_bags;
 mod running;
 mod seeds;
 mod session;
