@@ -93,8 +93,6 @@ pub struct OdometryStep {
     pub anew: Vec<OdometryStep>,
 }
 
-/// Whether a scan found its place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 impl OdometryStep {
     /// Whether the steps given before are void: the walk begins with this scan, or with those that come anew.
     pub fn begins_again(&self) -> bool {
@@ -108,6 +106,8 @@ impl OdometryStep {
     }
 }
 
+/// Whether a scan found its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepOutcome {
     /// The first scan: it defines the map. Scans before it found no place in what the walk began with until then, and have none.
     First,
@@ -282,19 +282,25 @@ impl Odometry {
         let find = self.search(&reduced, &path);
         let mut found = match &find {
             Some(find) => find.registration,
+            None if self.is_adrift(end) => nowhere(&path),
             None => self.register(&reduced, &path),
         };
-        if let (Motion::Constant { .. }, true, Some(_)) = (&self.motion, end > scan.time, self.last)
-        {
+        let is_blind = matches!(self.motion, Motion::Constant { .. });
+        let predicted_path = is_blind.then(|| path.clone());
+        if is_blind && end > scan.time && self.last.is_some() && found.inlier_ratio > 0.0 {
             // Without an IMU a first pass finds the motion by which the second deskews.
-            path = constant_path(self.last, scan.time, end, &found.world_from_rig);
+            path = constant_path(self.goes_on_from(), scan.time, end, &found.world_from_rig);
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
         let outcome = self.judge(&reduced, &found);
+        if let (StepOutcome::Lost, Some(predicted)) = (outcome, predicted_path) {
+            // What a scan without a place says of the motion is nothing to go on from.
+            path = predicted;
+        }
         let by_scan_alone = match &find {
-            Some(find) => find.registration.world_from_rig,
-            None => without(&self.prior(&path), &found),
+            Some(find) if !is_blind => find.registration.world_from_rig,
+            _ => without(&self.prior(&path), &found),
         };
         let predicted = self.predicted_covariance();
         let mut seen = ScanInformation::default();
@@ -316,6 +322,7 @@ impl Odometry {
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
+        let before = self.goes_on_from();
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
             self.corrections_m.clear();
@@ -324,7 +331,7 @@ impl Odometry {
             self.last_registered = path.last().copied();
             self.searched_in_vain = None;
         }
-        self.finish(&path);
+        self.finish(&path, outcome, before);
         Ok(OdometryStep {
             time: end,
             world_from_rig: end_pose(&path),
@@ -359,15 +366,21 @@ impl Odometry {
         }
     }
 
-    /// Poses from the end of the last scan (or the start of the first) to `end`.
+    /// Where an even motion goes on from: scans that found no place since say nothing of it.
+    fn goes_on_from(&self) -> Option<StampedPose> {
+        self.last_registered.or(self.last)
+    }
+
+    /// Poses from the end of the last scan (without an IMU of the last that found its place; or the start of the first) to `end`.
     fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
+        let (begin, is_adrift) = (self.goes_on_from(), self.is_adrift(end));
         match &mut self.motion {
             Motion::Inertial(inertial) => inertial.predict(start, end),
             Motion::Constant {
                 twist_per_s,
                 covariance,
             } => {
-                let Some(last) = self.last else {
+                let (Some(last), Some(begin)) = (self.last, begin) else {
                     // The end of the first scan is the world's origin.
                     let back = -*twist_per_s * end.secs_since(start);
                     let begin = StampedPose {
@@ -376,10 +389,14 @@ impl Odometry {
                     };
                     return Ok(constant_path(Some(begin), start, end, &Se3::identity()));
                 };
+                let moved = match is_adrift {
+                    true => Vector6::zeros(),
+                    false => *twist_per_s * end.secs_since(begin.time),
+                };
+                let predicted = begin.world_from_rig.retract(&moved);
                 let secs = end.secs_since(last.time);
-                let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
                 covariance.predict(&last.world_from_rig, &predicted, secs);
-                Ok(constant_path(self.last, start, end, &predicted))
+                Ok(constant_path(Some(begin), start, end, &predicted))
             }
         }
     }
@@ -510,9 +527,11 @@ impl Odometry {
             return;
         };
         // After a search the filter goes on from its own pose, which is not quite the scan's.
-        let behind = match self.last {
-            Some(before) => first.world_from_rig.local(&before.world_from_rig),
-            None => Vector6::zeros(),
+        let behind = match (self.last, &self.motion) {
+            (Some(before), Motion::Inertial(_)) => {
+                first.world_from_rig.local(&before.world_from_rig)
+            }
+            _ => Vector6::zeros(),
         };
         let behind = if behind.norm() > LEAST_BEHIND {
             behind
@@ -551,7 +570,8 @@ impl Odometry {
         }
     }
 
-    fn finish(&mut self, path: &[StampedPose]) {
+    /// `before`: where an even motion went on from.
+    fn finish(&mut self, path: &[StampedPose], outcome: StepOutcome, before: Option<StampedPose>) {
         let Some(end) = path.last().copied() else {
             return;
         };
@@ -562,9 +582,9 @@ impl Odometry {
                 inertial.samples.drain(..used.saturating_sub(1));
             }
             Motion::Constant { twist_per_s, .. } => {
-                if let Some(last) = self.last {
-                    let moved = last.world_from_rig.local(&end.world_from_rig);
-                    *twist_per_s = moved / end.time.secs_since(last.time);
+                if let (Some(before), true) = (before, outcome != StepOutcome::Lost) {
+                    let moved = before.world_from_rig.local(&end.world_from_rig);
+                    *twist_per_s = moved / end.time.secs_since(before.time);
                 }
             }
         }
@@ -573,6 +593,18 @@ impl Odometry {
             self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |i| i.min(interval_ns)));
         }
         self.last = Some(end);
+    }
+}
+
+/// Of a scan that is not sought: it agrees with nothing.
+fn nowhere(path: &[StampedPose]) -> Registration {
+    Registration {
+        world_from_rig: end_pose(path),
+        information: Matrix6::zeros(),
+        plane_information: Matrix6::zeros(),
+        inlier_ratio: 0.0,
+        plane_rms_m: 0.0,
+        iterations: 0,
     }
 }
 

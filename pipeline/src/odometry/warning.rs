@@ -41,6 +41,11 @@ pub enum OdometryWarning {
         /// Scans behind the last pose.
         scans: u64,
     },
+    /// One scan alone has a pose, which is the world's origin: nothing was measured.
+    OnePose {
+        /// Scans there are.
+        scans: u64,
+    },
     /// For much longer than scans are usually apart there is none with a pose.
     LidarGap {
         /// The last before and the first behind it, seconds after the first scan of all.
@@ -124,16 +129,19 @@ pub enum OdometryWarning {
         field: Option<String>,
         /// Of all scans, those that would last too long by the times of their points.
         not_believed: u64,
+        /// Why azimuths tell nothing either, where they were to stand for times.
+        #[serde(default)]
+        azimuths: Option<AzimuthProblem>,
     },
     /// Scans were deskewed by azimuth.
     DeskewedByAzimuth {
         /// How many.
         scans: u64,
-        /// Why azimuths tell nothing either, where they were to stand for times.
-        #[serde(default)]
-        azimuths: Option<AzimuthProblem>,
         /// Of how many.
         of: u64,
+        /// Of the former, those that are ordered ring by ring.
+        #[serde(default)]
+        ring_by_ring: u64,
     },
     /// The accelerometer measures in units of gravity.
     AccelerometerInGravities,
@@ -231,6 +239,16 @@ impl OdometryWarning {
                 format!("the last {scans} scans could not be registered: the trajectory ends before them"),
             )
             .value(*scans as f64, ""),
+            Self::OnePose { scans } => of(
+                "one-pose",
+                match scans {
+                    1 => "there is one scan, and its pose is the origin by definition: no motion was measured".to_owned(),
+                    _ => format!(
+                        "only one of {scans} scans has a pose, which is the origin by definition: no motion was measured"
+                    ),
+                },
+            )
+            .remedy("give a recording in which scans overlap"),
             Self::LidarGap { from_s, to_s } => of(
                 "lidar-gap",
                 format!(
@@ -323,6 +341,7 @@ impl OdometryWarning {
                 of: all,
                 field,
                 not_believed,
+                azimuths,
             } => of(
                 "not-deskewed",
                 not_deskewed(*scans, *all, field.as_deref(), *not_believed)
@@ -344,7 +363,6 @@ impl OdometryWarning {
                     .to_owned(),
             ),
             Self::RareScans { interval_s } => of(
-                azimuths,
                 "rare-scans",
                 format!(
                     "scans are {interval_s:.1} s apart: where few of them saw a surface, one may be registered to the wrong surface, and the covariances do not include that"
@@ -453,7 +471,8 @@ impl OdometryWarning {
     /// What makes poses wrong for certain fails a trajectory; the rest leaves something out of it, or widens it.
     fn verdict(&self) -> Verdict {
         match self {
-            Self::ExtrinsicRotation { .. }
+            Self::OnePose { .. }
+            | Self::ExtrinsicRotation { .. }
             | Self::ImuAxes { .. }
             | Self::ImuClock { .. }
             | Self::ScansApart { .. } => Verdict::Fail,
@@ -544,25 +563,6 @@ fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> 
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Naively what to do stood in the middle of what was found, where no page, table or program could tell one from the other.
-    #[test]
-    fn numbers_limits_and_remedies_stand_in_fields_of_their_own() {
-        let late = OdometryWarning::ImuClock {
-            late_s: -0.045,
-            sigma_s: 0.003,
-        };
-        let late = late.finding();
-        assert_eq!(
-            (late.code.as_ref(), late.verdict),
-            ("imu-clock", Verdict::Fail)
-        );
-        let close =
-            |found: Option<f64>, value: f64| found.is_some_and(|f| (f - value).abs() < 1e-9);
-        assert!(close(late.value, -45.0) && close(late.sigma, 3.0) && late.unit == "ms");
 fn about_azimuths(problem: Option<AzimuthProblem>) -> String {
     problem.map_or_else(String::new, |problem| {
         format!(" (not by azimuth either: {})", problem.sentence())
@@ -582,6 +582,25 @@ fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64) -> String {
     }
 }
 
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Naively what to do stood in the middle of what was found, where no page, table or program could tell one from the other.
+    #[test]
+    fn numbers_limits_and_remedies_stand_in_fields_of_their_own() {
+        let late = OdometryWarning::ImuClock {
+            late_s: -0.045,
+            sigma_s: 0.003,
+        };
+        let late = late.finding();
+        assert_eq!(
+            (late.code.as_ref(), late.verdict),
+            ("imu-clock", Verdict::Fail)
+        );
+        let close =
+            |found: Option<f64>, value: f64| found.is_some_and(|f| (f - value).abs() < 1e-9);
+        assert!(close(late.value, -45.0) && close(late.sigma, 3.0) && late.unit == "ms");
         assert!(!late.what.contains("without the IMU"), "{}", late.what);
         assert_eq!(
             late.remedy.as_deref(),
