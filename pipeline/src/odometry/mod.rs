@@ -139,6 +139,8 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// Where the map was last rid of what is far.
     rid_at: Option<Vector3<f64>>,
+    /// Without an IMU, where the scan before was found after a gap. How it moved while it was taken the next one tells, which is to confirm it.
+    sighted: Option<StampedPose>,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
     /// What the walk may have to begin again from, until a scan has found its place.
@@ -215,6 +217,7 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             rid_at: None,
+            sighted: None,
             searched_in_vain: None,
             start_scan: None,
             first_second: None,
@@ -287,13 +290,31 @@ impl Odometry {
         };
         let is_blind = matches!(self.motion, Motion::Constant { .. });
         let predicted_path = is_blind.then(|| path.clone());
-        if is_blind && end > scan.time && self.last.is_some() && found.inlier_ratio > 0.0 {
+        let is_sought = is_blind && find.is_some();
+        if is_blind
+            && end > scan.time
+            && self.last.is_some()
+            && found.inlier_ratio > 0.0
+            && !is_sought
+        {
             // Without an IMU a first pass finds the motion by which the second deskews.
             path = constant_path(self.goes_on_from(), scan.time, end, &found.world_from_rig);
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let outcome = self.judge(&reduced, &found);
+        let mut outcome = self.judge(&reduced, &found);
+        let sighted = self.sighted.take();
+        if sighted.is_some() && !self.confirms(&reduced, &found) {
+            outcome = StepOutcome::Lost;
+        }
+        if is_sought {
+            let sight = StampedPose {
+                time: end,
+                world_from_rig: found.world_from_rig,
+            };
+            self.sighted = (outcome == StepOutcome::Registered).then_some(sight);
+            outcome = StepOutcome::Lost;
+        }
         if let (StepOutcome::Lost, Some(predicted)) = (outcome, predicted_path) {
             // What a scan without a place says of the motion is nothing to go on from.
             path = predicted;
@@ -322,7 +343,7 @@ impl Odometry {
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
-        let before = self.goes_on_from();
+        let before = sighted.or(self.goes_on_from());
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
             self.corrections_m.clear();
@@ -368,7 +389,7 @@ impl Odometry {
 
     /// Where an even motion goes on from: scans that found no place since say nothing of it.
     fn goes_on_from(&self) -> Option<StampedPose> {
-        self.last_registered.or(self.last)
+        self.sighted.or(self.last_registered).or(self.last)
     }
 
     /// Poses from the end of the last scan (without an IMU of the last that found its place; or the start of the first) to `end`.
@@ -389,7 +410,7 @@ impl Odometry {
                     };
                     return Ok(constant_path(Some(begin), start, end, &Se3::identity()));
                 };
-                let moved = match is_adrift {
+                let moved = match is_adrift || self.sighted.is_some() {
                     true => Vector6::zeros(),
                     false => *twist_per_s * end.secs_since(begin.time),
                 };

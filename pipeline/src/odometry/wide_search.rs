@@ -209,8 +209,15 @@ impl Odometry {
         else {
             return false;
         };
+        // What was sighted is soon told more of.
+        let last = self.sighted.unwrap_or(last);
         let passed_s = now.secs_since(last.time);
         passed_s > RARE_S && passed_s > ADRIFT_INTERVALS * interval_ns as f64 * 1e-9
+    }
+
+    /// Whether a registration by the motion since a scan was found after a gap is as good as that.
+    pub(super) fn confirms(&self, reduced: &ReducedScan, found: &Registration) -> bool {
+        found.inlier_ratio >= MIN_OVERLAP && !self.is_contradicted(reduced, &found.world_from_rig)
     }
 
     /// How far what is adrift may have come from where it was, or such a share of it: covariance of `[rotation, translation]` in the tangent of the pose there.

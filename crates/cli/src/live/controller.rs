@@ -437,7 +437,8 @@ mod tests {
         let mut telling = live(399, Registered, now);
         let anew = [(99, First), (199, Registered), (299, Lost)];
         telling.step.anew = anew.map(|(ms, outcome)| live(ms, outcome, now).step).into();
-        for step in telling.step.anew.iter_mut().chain([&mut telling.step]) {
+        telling.step.world_from_rig.translation *= 2.0;
+        for step in &mut telling.step.anew {
             step.world_from_rig.translation *= 2.0;
         }
         controller.take_step(&telling);
