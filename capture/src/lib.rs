@@ -57,6 +57,7 @@ pub use error::Error;
 pub use feed::{Feed, Feeder};
 pub use incoming::{Incoming, record_incoming};
 pub use poses::Poses;
+pub use recorder::Latencies;
 pub use remark::Remarks;
 pub use replay::{ReplayConfig, ReplayedSensor, replay, replay_recording};
 pub use report::{CaptureReport, Ending, StreamReport};

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lsfb_types::{Image, ImuSample, LidarScan, Stamped, Timestamp};
 
@@ -39,6 +39,8 @@ pub enum Tapped {
         lidar: String,
         /// The returns.
         scan: Stamped<LidarScan>,
+        /// When they came to the tap, to tell how long they waited since.
+        offered: Instant,
     },
     /// A ready-made message, of a sidecar or of the operator.
     Message {
@@ -127,6 +129,7 @@ impl TapSender {
             Entry::Scan { lidar, scan, .. } => self.put(|| Tapped::Scan {
                 lidar: lidar.clone(),
                 scan: scan.clone(),
+                offered: Instant::now(),
             }),
             Entry::Cdr {
                 topic,

@@ -9,7 +9,7 @@ const BUCKETS: usize = 256;
 
 /// Waiting times, counted.
 #[derive(Clone, Debug)]
-pub(crate) struct Latencies {
+pub struct Latencies {
     counts: [u64; BUCKETS],
     total: u64,
     longest: Duration,
@@ -26,7 +26,8 @@ impl Default for Latencies {
 }
 
 impl Latencies {
-    pub(crate) fn add(&mut self, latency: Duration) {
+    /// Counts one.
+    pub fn add(&mut self, latency: Duration) {
         let micros = latency.as_secs_f64() * 1e6;
         // A float cast saturates: whatever is shorter than 1 µs is in the first bucket.
         let bucket = (micros.max(1.0).log2() * PER_OCTAVE) as usize;
@@ -37,8 +38,8 @@ impl Latencies {
         self.longest = self.longest.max(latency);
     }
 
-    /// The time within which `share` of the messages were written, milliseconds: the upper edge of its bucket.
-    pub(crate) fn quantile_ms(&self, share: f64) -> f64 {
+    /// The time that `share` of them did not exceed, milliseconds: the upper edge of its bucket; 0 without any.
+    pub fn quantile_ms(&self, share: f64) -> f64 {
         let wanted = (self.total as f64 * share).ceil() as u64;
         let mut seen = 0;
         for (bucket, count) in self.counts.iter().enumerate() {
@@ -51,7 +52,8 @@ impl Latencies {
         0.0
     }
 
-    pub(crate) fn longest_ms(&self) -> f64 {
+    /// The longest, milliseconds.
+    pub fn longest_ms(&self) -> f64 {
         self.longest.as_secs_f64() * 1e3
     }
 }

@@ -24,6 +24,7 @@ use crate::sync::{GroupReport, Groups};
 use crate::tap::TapSender;
 
 pub(crate) use crate::entry::{Entry, OwnMessage};
+pub use latency::Latencies;
 
 pub(crate) use parts::parts_of;
 pub(crate) use space::{check as check_space, free_bytes_of};

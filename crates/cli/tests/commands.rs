@@ -33,6 +33,7 @@ mod refusal;
 mod report_page;
 mod researchers;
 mod rig_files;
+mod ros_bags;
 mod running;
 mod scenes;
 mod seeds;

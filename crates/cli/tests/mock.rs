@@ -147,15 +147,27 @@ fn a_recording_with_odometry_shows_a_moving_rig() {
     let mut mock = Running::lsfb(folder.path(), arguments.into_iter().chain(ports));
     mock.wait_for("devices.toml");
     let arguments = ["--devices", "mock/devices.toml", "--out", "again.mcap"];
-    let scan = [&["scan", "--odometry"][..], &arguments].concat();
+    let scan = [&["scan", "--odometry", "--json"][..], &arguments].concat();
     let output = lsfb(folder.path(), &scan);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let live = &report["live_odometry"];
+    let latency = |share: &str| live[share].as_f64().expect("a latency");
+    let [p50_ms, p99_ms] = [latency("latency_p50_ms"), latency("latency_p99_ms")];
+    assert!(0.0 < p50_ms && p50_ms <= p99_ms, "{live}");
+    // What was skipped on a busy machine is counted.
+    let counts = ["registered", "lost", "skipped_scans"].map(|of| live[of].as_u64());
+    let [Some(registered), Some(lost), Some(skipped)] = counts else {
+        panic!("counts: {live}")
+    };
     assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
     let recording = Recording::open(&folder.path().join("again.mcap")).expect("recording");
     let clouds = recording.scans().expect("scans");
     let clouds: Vec<_> = clouds.map(|scan| scan.expect("scan").time).collect();
     let poses = recording.messages(TF).expect("poses");
     let poses: Vec<_> = poses.map(|pose| pose.expect("pose")).collect();
+    let known = registered + lost + skipped;
+    assert!(registered > 0 && known <= clouds.len() as u64, "{live}");
     // The odometry needs the first scan, and a busy machine leaves some out.
     assert!(
         poses.len() > clouds.len() / 4,

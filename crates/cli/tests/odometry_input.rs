@@ -6,8 +6,10 @@ use crate::answer::json;
 use crate::capture_file::pcap;
 use crate::process::lsfb;
 use crate::refusal::refused;
-use lsfb_geometry::{StampedPose, UnitQuaternion};
-use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
+use crate::ros_bags::Walk;
+use lsfb_geometry::{Se3, StampedPose, UnitQuaternion, Vector3};
+use lsfb_recording::message::StaticTransform;
+use lsfb_recording::{Channel, Recording, Writer, WriterConfig, read_tum};
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use serde_json::Value;
 
@@ -66,6 +68,18 @@ fn stamped<T>(time: Timestamp, sample: T) -> Stamped<T> {
     }
 }
 
+/// What an IMU that stays level feels.
+fn samples() -> impl Iterator<Item = Stamped<ImuSample>> {
+    (0..10 * SCANS as i64).map(|tenth| {
+        let level = ImuSample {
+            angular_velocity_rad_s: [0.0; 3],
+            // One that says the same again and again has paused.
+            specific_force_m_s2: [0.0, 0.0, 9.81 + 1e-4 * (tenth % 10 % 3) as f64],
+        };
+        stamped(at(0).plus_nanos(10_000_000 * tenth), level)
+    })
+}
+
 /// A recording without a rig: to this program that of a stranger.
 fn foreign_mcap(path: &Path) {
     // Several chunks, so that a torn file still has some.
@@ -74,14 +88,9 @@ fn foreign_mcap(path: &Path) {
         ..WriterConfig::default()
     };
     let mut writer = Writer::create(path, &config).expect("a file");
+    let mut samples = samples();
     for number in 0..SCANS {
-        for tenth in 0..10 {
-            let level = ImuSample {
-                angular_velocity_rad_s: [0.0; 3],
-                // One that says the same again and again has paused.
-                specific_force_m_s2: [0.0, 0.0, 9.81 + 1e-4 * (tenth % 3) as f64],
-            };
-            let sample = stamped(at(number).plus_nanos(10_000_000 * tenth), level);
+        for sample in samples.by_ref().take(10) {
             writer.write_imu("imu0", &sample).expect("a sample");
         }
         writer
@@ -152,6 +161,89 @@ fn an_mcap_of_a_stranger_is_run_on_without_an_imu_of_which_nothing_is_known() {
             .angle_to(&UnitQuaternion::identity())
     });
     assert!(turned.fold(0.0, f64::max) < 0.02);
+}
+
+/// A sensor whose place on the IMU two edges of `/tf_static` tell: together a quarter of a turn, so that it goes along the IMU's y.
+#[test]
+fn bags_of_both_ros_are_run_on_with_the_imu_that_tf_static_places() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let edge = |child: &str, turn_deg: f64, up_m: f64| {
+        let turn = Vector3::new(0.0, 0.0, turn_deg.to_radians());
+        StaticTransform {
+            parent: "base".to_owned(),
+            child: child.to_owned(),
+            parent_from_child: Se3::new(
+                UnitQuaternion::from_scaled_axis(turn),
+                Vector3::new(0.0, 0.0, up_m),
+            ),
+        }
+    };
+    let walk = Walk {
+        scans: (0..SCANS).map(|n| stamped(at(n), scan(n))).collect(),
+        samples: samples().collect(),
+        edges: vec![edge("lidar", 30.0, 0.2), edge("imu", -60.0, 0.1)],
+    };
+    walk.ros1(&path.join("walk.bag"));
+    walk.rosbag2(&path.join("walk"));
+    for (input, out) in [("walk.bag", "1.tum"), ("walk", "2.tum")] {
+        let report = json(path, &["odometry", input, "--out", out], 0);
+        let (input, deskew) = (&report["input"], &report["deskew"]);
+        assert_eq!(input["extrinsic"], "/tf_static", "{report}");
+        let topics = (&input["lidar_topic"], &input["imu_topic"]);
+        assert_eq!(topics, (&"/points".into(), &"/imu".into()));
+        assert_eq!(
+            (&report["registered"], &deskew["by_times"]),
+            (&SCANS.into(), &SCANS.into())
+        );
+        assert_eq!(report["imu_samples"], 10 * SCANS);
+        let [x, y, z] = moved_m(&path.join(out));
+        assert!(
+            x.abs() < 0.03 && (y - 0.55).abs() < 0.06 && z.abs() < 0.03,
+            "{out}: {x} {y} {z}"
+        );
+    }
+    // The same messages, the same walk.
+    let poses = ["1.tum", "2.tum"].map(|out| std::fs::read(path.join(out)).expect("poses"));
+    assert!(poses[0] == poses[1], "the bags differ");
+}
+
+/// Refused with the advice to import what cannot be imported.
+#[test]
+fn clouds_of_a_stranger_are_stored() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    foreign_mcap(&path.join("walk.mcap"));
+    let command = [
+        "odometry",
+        "walk.mcap",
+        "--out",
+        "walk.tum",
+        "--out-clouds",
+        "clouds.mcap",
+    ];
+    let report = json(path, &command, 0);
+    assert_eq!(report["clouds"]["scans"], SCANS);
+    let clouds = Recording::open(&path.join("clouds.mcap")).expect("clouds");
+    let poses = read_tum(&path.join("walk.tum")).expect("a trajectory");
+    let (mut off, mut points) = (0, 0);
+    for scan in clouds.scans().expect("scans") {
+        let scan = scan.expect("a scan");
+        let pose = poses
+            .poses()
+            .iter()
+            .find(|p| p.time == scan.time)
+            .expect("a pose");
+        // The world's origin is where the first scan ended, 1.2 m above the floor and 2.7 m beside a wall.
+        for point in &scan.sample.points {
+            let in_world = pose.world_from_rig * Vector3::from(point.position_m.map(f64::from));
+            let floor_m = (in_world.z + 1.2).abs().min((in_world.z - 1.8).abs());
+            let walls_m = (in_world.y - 2.7).abs().min((in_world.y + 3.3).abs());
+            off += u32::from(in_world.x.abs() < 1.0 && floor_m.min(walls_m) > 0.05);
+            points += 1;
+        }
+    }
+    assert!(points > 10_000 && 50 * off < points, "{off} of {points}");
 }
 
 /// It alone had neither verdict nor findings: a script that asks every command for them took its silence for a PASS.
@@ -240,6 +332,15 @@ fn a_folder_of_kitti_is_read_and_nothing_is_left_beside_the_result() {
     assert_eq!(
         (&report["deskew"]["by_azimuth"], &report["deskew"]["none"]),
         (&SCANS.into(), &0.into())
+    );
+
+    // One scan was a trajectory of one pose, and a success.
+    let report = json(path, &["odometry", "velodyne/0.bin", "--out", "one.tum"], 4);
+    let findings = report["findings"].as_array().expect("findings");
+    let codes: Vec<_> = findings.iter().filter(|f| f["verdict"] == "fail").collect();
+    assert!(
+        codes.len() == 1 && codes[0]["code"] == "one-pose",
+        "{report}"
     );
 }
 

@@ -99,6 +99,12 @@ impl LiveMap {
         };
     }
 
+    /// Forgets everything: the walk began otherwise than was thought.
+    pub fn begin_again(&mut self) {
+        let viewers = std::mem::take(&mut self.viewers);
+        self.restart(viewers);
+    }
+
     /// Takes a registered scan: its points in the rig frame, and the pose of the rig then.
     pub fn push(&mut self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
         self.version += 1;

@@ -68,6 +68,8 @@ pub struct ScreenState {
     pub unseen: Option<UnseenMotion>,
     /// Length of the path so far, metres.
     pub path_m: f64,
+    /// Scans that are recorded and missing from the live map, since the live odometry was behind.
+    pub skipped_scans: u64,
     /// How well the place was seen.
     pub coverage: CoverageState,
     /// Control points so far.

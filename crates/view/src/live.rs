@@ -45,6 +45,7 @@ enum Item {
     Rig(Box<Rig>),
     Image(String, Stamped<Image>),
     Imu(Stamped<ImuSample>),
+    BeginAgain,
     Step {
         time: Timestamp,
         world_from_rig: Se3,
@@ -105,6 +106,11 @@ impl LiveView {
     /// Shows an inertial sample.
     pub fn imu(&self, sample: &Stamped<ImuSample>) {
         self.put(|| Item::Imu(sample.clone()));
+    }
+
+    /// Forgets the path: the walk began otherwise than was thought, and its steps come anew.
+    pub fn begin_again(&self) {
+        self.put(|| Item::BeginAgain);
     }
 
     /// Shows where the rig is, what the LiDAR saw from there, and the direction along or about which it sees no motion, where there is one.
@@ -174,9 +180,8 @@ impl Sender {
                     self.log_static(&entity, &transform(&camera.rig_from_camera));
                     self.log_static(&entity, &pinhole(&camera.camera));
                 }
-                // Another walk.
-                (self.samples, self.scans) = (0, 0);
-                self.path.clear();
+                self.samples = 0;
+                self.begin_again();
             }
             Item::Image(camera, image) => {
                 self.set_time(image.time);
@@ -201,6 +206,7 @@ impl Sender {
                     self.log("imu/live/accel_m_s2", &Scalars::new(specific_force_m_s2));
                 }
             }
+            Item::BeginAgain => self.begin_again(),
             Item::Step {
                 time,
                 world_from_rig,
@@ -211,6 +217,12 @@ impl Sender {
                 self.unseen(&world_from_rig.translation, unseen_in_world);
             }
         }
+    }
+
+    /// What was shown is replaced as steps come: the first scan of the map takes the place of the first.
+    fn begin_again(&mut self) {
+        self.scans = 0;
+        self.path.clear();
     }
 
     fn step(&mut self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
@@ -304,6 +316,25 @@ mod tests {
             "{:?}",
             began.elapsed()
         );
+    }
+
+    /// Steps of a walk that began otherwise were a path that jumped.
+    #[test]
+    fn a_walk_that_begins_again_has_one_path() {
+        let mut sender = Sender::new(RecordingStream::disabled());
+        let step = |x_m: f64| Item::Step {
+            time: Timestamp::from_nanos(0),
+            world_from_rig: Se3 {
+                translation: Vector3::new(x_m, 0.0, 0.0),
+                ..Se3::identity()
+            },
+            points_in_rig: Vec::new(),
+            unseen_in_world: None,
+        };
+        let items = [step(0.0), step(1.0), Item::BeginAgain, step(0.0), step(2.0)];
+        items.into_iter().for_each(|item| sender.send(item));
+        assert_eq!(sender.path, [[0.0; 3], [2.0, 0.0, 0.0]]);
+        assert_eq!(sender.scans, 2);
     }
 
     #[test]

@@ -42,7 +42,11 @@ impl SparseScan {
         let mut bends = Vec::new();
         let mut pieces: Vec<(u16, &[Vector3<f64>])> = Vec::new();
         for (ring, points) in (0_u16..).zip(rings) {
-            let found = creases_of_ring(points, sensor_in_rig, range_noise_m, config);
+            // What is one ring alone is a cloud without numbers of rings: neighbours in it may be of different beams.
+            let found = match rings.len() {
+                1 => Vec::new(),
+                _ => creases_of_ring(points, sensor_in_rig, range_noise_m, config),
+            };
             let mut rest = points.as_slice();
             for (index, bend) in found {
                 bends.push((ring, bend));

@@ -18,6 +18,7 @@ mod online;
 mod point_clock;
 mod range_check;
 mod report;
+mod ring_order;
 mod run;
 mod start_scan;
 mod uncertainty;
@@ -45,6 +46,7 @@ pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;
 pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;
+pub use ring_order::AzimuthProblem;
 pub(crate) use run::Damages;
 pub use run::{
     DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, ScanPose, run_odometry, scan_count,
@@ -91,6 +93,19 @@ pub struct OdometryStep {
     pub anew: Vec<OdometryStep>,
 }
 
+impl OdometryStep {
+    /// Whether the steps given before are void: the walk begins with this scan, or with those that come anew.
+    pub fn begins_again(&self) -> bool {
+        self.outcome == StepOutcome::First || !self.anew.is_empty()
+    }
+
+    /// The scans that found their place, those that come anew before the scan itself.
+    pub fn placed(&self) -> impl Iterator<Item = &OdometryStep> {
+        let all = self.anew.iter().chain([self]);
+        all.filter(|step| step.outcome != StepOutcome::Lost)
+    }
+}
+
 /// Whether a scan found its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepOutcome {
@@ -124,6 +139,8 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// Where the map was last rid of what is far.
     rid_at: Option<Vector3<f64>>,
+    /// Without an IMU, where the scan before was found after a gap. How it moved while it was taken the next one tells, which is to confirm it.
+    sighted: Option<StampedPose>,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
     /// What the walk may have to begin again from, until a scan has found its place.
@@ -200,6 +217,7 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             rid_at: None,
+            sighted: None,
             searched_in_vain: None,
             start_scan: None,
             first_second: None,
@@ -267,19 +285,43 @@ impl Odometry {
         let find = self.search(&reduced, &path);
         let mut found = match &find {
             Some(find) => find.registration,
+            None if self.is_adrift(end) => nowhere(&path),
             None => self.register(&reduced, &path),
         };
-        if let (Motion::Constant { .. }, true, Some(_)) = (&self.motion, end > scan.time, self.last)
+        let is_blind = matches!(self.motion, Motion::Constant { .. });
+        let predicted_path = is_blind.then(|| path.clone());
+        let is_sought = is_blind && find.is_some();
+        if is_blind
+            && end > scan.time
+            && self.last.is_some()
+            && found.inlier_ratio > 0.0
+            && !is_sought
         {
             // Without an IMU a first pass finds the motion by which the second deskews.
-            path = constant_path(self.last, scan.time, end, &found.world_from_rig);
+            path = constant_path(self.goes_on_from(), scan.time, end, &found.world_from_rig);
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let outcome = self.judge(&reduced, &found);
+        let mut outcome = self.judge(&reduced, &found);
+        let sighted = self.sighted.take();
+        if sighted.is_some() && !self.confirms(&reduced, &found) {
+            outcome = StepOutcome::Lost;
+        }
+        if is_sought {
+            let sight = StampedPose {
+                time: end,
+                world_from_rig: found.world_from_rig,
+            };
+            self.sighted = (outcome == StepOutcome::Registered).then_some(sight);
+            outcome = StepOutcome::Lost;
+        }
+        if let (StepOutcome::Lost, Some(predicted)) = (outcome, predicted_path) {
+            // What a scan without a place says of the motion is nothing to go on from.
+            path = predicted;
+        }
         let by_scan_alone = match &find {
-            Some(find) => find.registration.world_from_rig,
-            None => without(&self.prior(&path), &found),
+            Some(find) if !is_blind => find.registration.world_from_rig,
+            _ => without(&self.prior(&path), &found),
         };
         let predicted = self.predicted_covariance();
         let mut seen = ScanInformation::default();
@@ -301,6 +343,7 @@ impl Odometry {
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
+        let before = sighted.or(self.goes_on_from());
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
             self.corrections_m.clear();
@@ -309,7 +352,7 @@ impl Odometry {
             self.last_registered = path.last().copied();
             self.searched_in_vain = None;
         }
-        self.finish(&path);
+        self.finish(&path, outcome, before);
         Ok(OdometryStep {
             time: end,
             world_from_rig: end_pose(&path),
@@ -344,15 +387,21 @@ impl Odometry {
         }
     }
 
-    /// Poses from the end of the last scan (or the start of the first) to `end`.
+    /// Where an even motion goes on from: scans that found no place since say nothing of it.
+    fn goes_on_from(&self) -> Option<StampedPose> {
+        self.sighted.or(self.last_registered).or(self.last)
+    }
+
+    /// Poses from the end of the last scan (without an IMU of the last that found its place; or the start of the first) to `end`.
     fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
+        let (begin, is_adrift) = (self.goes_on_from(), self.is_adrift(end));
         match &mut self.motion {
             Motion::Inertial(inertial) => inertial.predict(start, end),
             Motion::Constant {
                 twist_per_s,
                 covariance,
             } => {
-                let Some(last) = self.last else {
+                let (Some(last), Some(begin)) = (self.last, begin) else {
                     // The end of the first scan is the world's origin.
                     let back = -*twist_per_s * end.secs_since(start);
                     let begin = StampedPose {
@@ -361,10 +410,14 @@ impl Odometry {
                     };
                     return Ok(constant_path(Some(begin), start, end, &Se3::identity()));
                 };
+                let moved = match is_adrift || self.sighted.is_some() {
+                    true => Vector6::zeros(),
+                    false => *twist_per_s * end.secs_since(begin.time),
+                };
+                let predicted = begin.world_from_rig.retract(&moved);
                 let secs = end.secs_since(last.time);
-                let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
                 covariance.predict(&last.world_from_rig, &predicted, secs);
-                Ok(constant_path(self.last, start, end, &predicted))
+                Ok(constant_path(Some(begin), start, end, &predicted))
             }
         }
     }
@@ -495,9 +548,11 @@ impl Odometry {
             return;
         };
         // After a search the filter goes on from its own pose, which is not quite the scan's.
-        let behind = match self.last {
-            Some(before) => first.world_from_rig.local(&before.world_from_rig),
-            None => Vector6::zeros(),
+        let behind = match (self.last, &self.motion) {
+            (Some(before), Motion::Inertial(_)) => {
+                first.world_from_rig.local(&before.world_from_rig)
+            }
+            _ => Vector6::zeros(),
         };
         let behind = if behind.norm() > LEAST_BEHIND {
             behind
@@ -536,7 +591,8 @@ impl Odometry {
         }
     }
 
-    fn finish(&mut self, path: &[StampedPose]) {
+    /// `before`: where an even motion went on from.
+    fn finish(&mut self, path: &[StampedPose], outcome: StepOutcome, before: Option<StampedPose>) {
         let Some(end) = path.last().copied() else {
             return;
         };
@@ -547,9 +603,9 @@ impl Odometry {
                 inertial.samples.drain(..used.saturating_sub(1));
             }
             Motion::Constant { twist_per_s, .. } => {
-                if let Some(last) = self.last {
-                    let moved = last.world_from_rig.local(&end.world_from_rig);
-                    *twist_per_s = moved / end.time.secs_since(last.time);
+                if let (Some(before), true) = (before, outcome != StepOutcome::Lost) {
+                    let moved = before.world_from_rig.local(&end.world_from_rig);
+                    *twist_per_s = moved / end.time.secs_since(before.time);
                 }
             }
         }
@@ -558,6 +614,18 @@ impl Odometry {
             self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |i| i.min(interval_ns)));
         }
         self.last = Some(end);
+    }
+}
+
+/// Of a scan that is not sought: it agrees with nothing.
+fn nowhere(path: &[StampedPose]) -> Registration {
+    Registration {
+        world_from_rig: end_pose(path),
+        information: Matrix6::zeros(),
+        plane_information: Matrix6::zeros(),
+        inlier_ratio: 0.0,
+        plane_rms_m: 0.0,
+        iterations: 0,
     }
 }
 

@@ -7,6 +7,7 @@ use lsfb_recording::cloud::PointTimes;
 use lsfb_types::{LidarPoint, LidarScan, Stamped};
 use serde::{Deserialize, Serialize};
 
+use super::ring_order::{AzimuthProblem, azimuth_rad, times_by_ring};
 use super::warning::OdometryWarning;
 
 /// A scan, and where the times of its points come from.
@@ -25,12 +26,18 @@ pub struct DeskewReport {
     pub by_times: u64,
     /// By the azimuths of their points.
     pub by_azimuth: u64,
+    /// Of the latter, those that are ordered ring by ring.
+    #[serde(default)]
+    pub ring_by_ring: u64,
     /// Not at all: nothing says when their points were measured.
     pub none: u64,
     /// Of the latter, those whose times would have them last longer than until the scan behind them.
     pub not_believed: u64,
     /// The field of times, where there is one.
     pub field: Option<String>,
+    /// Why the azimuths of the first of those that were not deskewed tell nothing, where they were to stand for times.
+    #[serde(default)]
+    pub azimuths: Option<AzimuthProblem>,
 }
 
 impl DeskewReport {
@@ -42,10 +49,12 @@ impl DeskewReport {
             of,
             field: self.field.clone(),
             not_believed: self.not_believed,
+            azimuths: self.azimuths,
         });
         let by_azimuth = (self.by_azimuth > 0).then_some(OdometryWarning::DeskewedByAzimuth {
             scans: self.by_azimuth,
             of,
+            ring_by_ring: self.ring_by_ring,
         });
         not_deskewed.into_iter().chain(by_azimuth).collect()
     }
@@ -62,8 +71,6 @@ const MAX_BEAM_OFFSET_RAD: f64 = 0.4;
 /// No sensor turns more slowly; where scans are rarer some are missing, and a turn takes the usual time (10 Hz), nanoseconds.
 const SLOWEST_TURN_NS: i64 = 250_000_000;
 const USUAL_TURN_NS: i64 = 100_000_000;
-/// Nearer returns have no azimuth to speak of, metres.
-const MIN_HORIZONTAL_M: f32 = 0.3;
 
 /// Holds each scan back until the next one tells how long it can have taken.
 #[derive(Default)]
@@ -121,8 +128,7 @@ impl PointClock {
         }
         self.report.not_believed += u64::from(timed);
         let period_ns = period_ns.filter(|_| self.azimuths_are_times);
-        let by_azimuth =
-            period_ns.and_then(|period_ns| times_by_azimuth(points, turn_ns(period_ns)));
+        let by_azimuth = period_ns.and_then(|period_ns| self.by_azimuth(points, period_ns));
         match &by_azimuth {
             Some(_) => self.report.by_azimuth += 1,
             None => self.report.none += 1,
@@ -132,6 +138,24 @@ impl PointClock {
             point.time_offset_ns = offset_ns;
         }
         scan
+    }
+
+    fn by_azimuth(&mut self, points: &[LidarPoint], period_ns: i64) -> Option<Vec<u32>> {
+        let turn_ns = turn_ns(period_ns);
+        let as_fired = times_by_azimuth(points, turn_ns);
+        if as_fired.is_some() {
+            return as_fired;
+        }
+        match times_by_ring(points, turn_ns) {
+            Ok(times_ns) => {
+                self.report.ring_by_ring += 1;
+                Some(times_ns)
+            }
+            Err(problem) => {
+                self.report.azimuths.get_or_insert(problem);
+                None
+            }
+        }
     }
 }
 
@@ -151,9 +175,7 @@ fn times_by_azimuth(points: &[LidarPoint], period_ns: i64) -> Option<Vec<u32>> {
     let mut farthest_rad: f64 = 0.0;
     let mut turns = Vec::with_capacity(points.len());
     for point in points {
-        let [x, y, _] = point.position_m;
-        if x.hypot(y) > MIN_HORIZONTAL_M {
-            let azimuth = -f64::from(y).atan2(f64::from(x));
+        if let Some(azimuth) = azimuth_rad(point) {
             if let Some(last) = last_azimuth {
                 let step: f64 = azimuth - last;
                 turned_rad += (step + PI).rem_euclid(TAU) - PI;
@@ -266,8 +288,12 @@ mod tests {
                 "{k}: {time_ns}"
             );
         }
+        assert_eq!((report.ring_by_ring, report.azimuths), (0, None));
         let (times, report) = with(1.0);
         assert_eq!((times[500], report.by_azimuth, report.none), (0, 0, 4));
+        assert_eq!(report.azimuths, Some(AzimuthProblem::Order));
+        let said = report.warnings()[0].finding().what;
+        assert!(said.contains("neither in firing order nor ring"), "{said}");
     }
 
     /// Of scans thinned out to one in five seconds a turn was taken to last five seconds.

@@ -72,7 +72,7 @@ impl OdometryReport {
     /// Everything that was looked at, good or not.
     pub fn findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
-        if self.lost == 0 && self.skipped == 0 && self.registered > 0 {
+        if self.lost == 0 && self.skipped == 0 && self.registered > 1 {
             let what = format!("all {} scans have a pose", self.scans);
             findings.push(
                 Finding::new("registered", Verdict::Pass, "scans", what)
@@ -80,7 +80,7 @@ impl OdometryReport {
             );
         }
         let [at_s, sigma_m] = self.largest_sigma;
-        if sigma_m <= MAX_SIGMA_M && self.sigma_at_end_m <= MAX_SIGMA_M && self.registered > 0 {
+        if sigma_m <= MAX_SIGMA_M && self.sigma_at_end_m <= MAX_SIGMA_M && self.registered > 1 {
             let what = format!(
                 "every pose is known to {sigma_m:.3} m (one standard deviation; the worst at {at_s:.1} s)"
             );
@@ -176,6 +176,9 @@ impl OdometryReport {
         let (lost, skipped, scans) = (self.lost, self.skipped, self.scans);
         if lost > 0 {
             self.warnings.push(OdometryWarning::Lost { lost, scans });
+        }
+        if self.registered == 1 {
+            self.warnings.push(OdometryWarning::OnePose { scans });
         }
         if self.lost_at_end > 0 {
             let scans = self.lost_at_end;

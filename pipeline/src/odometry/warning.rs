@@ -3,6 +3,7 @@
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::ring_order::AzimuthProblem;
 use super::unseen::UnseenStretch;
 
 /// A loop that contradicts the odometry by more is none: twice what no loop is accepted beyond without a person's word, in standard deviations.
@@ -38,6 +39,11 @@ pub enum OdometryWarning {
     /// The trajectory ends before the recording.
     LostAtEnd {
         /// Scans behind the last pose.
+        scans: u64,
+    },
+    /// One scan alone has a pose, which is the world's origin: nothing was measured.
+    OnePose {
+        /// Scans there are.
         scans: u64,
     },
     /// For much longer than scans are usually apart there is none with a pose.
@@ -123,6 +129,9 @@ pub enum OdometryWarning {
         field: Option<String>,
         /// Of all scans, those that would last too long by the times of their points.
         not_believed: u64,
+        /// Why azimuths tell nothing either, where they were to stand for times.
+        #[serde(default)]
+        azimuths: Option<AzimuthProblem>,
     },
     /// Scans were deskewed by azimuth.
     DeskewedByAzimuth {
@@ -130,6 +139,9 @@ pub enum OdometryWarning {
         scans: u64,
         /// Of how many.
         of: u64,
+        /// Of the former, those that are ordered ring by ring.
+        #[serde(default)]
+        ring_by_ring: u64,
     },
     /// The accelerometer measures in units of gravity.
     AccelerometerInGravities,
@@ -227,6 +239,16 @@ impl OdometryWarning {
                 format!("the last {scans} scans could not be registered: the trajectory ends before them"),
             )
             .value(*scans as f64, ""),
+            Self::OnePose { scans } => of(
+                "one-pose",
+                match scans {
+                    1 => "there is one scan, and its pose is the origin by definition: no motion was measured".to_owned(),
+                    _ => format!(
+                        "only one of {scans} scans has a pose, which is the origin by definition: no motion was measured"
+                    ),
+                },
+            )
+            .remedy("give a recording in which scans overlap"),
             Self::LidarGap { from_s, to_s } => of(
                 "lidar-gap",
                 format!(
@@ -319,16 +341,20 @@ impl OdometryWarning {
                 of: all,
                 field,
                 not_believed,
+                azimuths,
             } => of(
                 "not-deskewed",
-                not_deskewed(*scans, *all, field.as_deref(), *not_believed),
+                not_deskewed(*scans, *all, field.as_deref(), *not_believed)
+                    + &about_azimuths(*azimuths),
             )
             .value(*scans as f64, ""),
-            Self::DeskewedByAzimuth { scans, of: all } => of(
+            Self::DeskewedByAzimuth {
+                scans,
+                of: all,
+                ring_by_ring,
+            } => of(
                 "deskewed-by-azimuth",
-                format!(
-                    "{scans} of {all} scans were deskewed by azimuth, which assumes that their points are in firing order"
-                ),
+                by_azimuth(*scans, *all, *ring_by_ring),
             )
             .value(*scans as f64, ""),
             Self::AccelerometerInGravities => of(
@@ -445,7 +471,8 @@ impl OdometryWarning {
     /// What makes poses wrong for certain fails a trajectory; the rest leaves something out of it, or widens it.
     fn verdict(&self) -> Verdict {
         match self {
-            Self::ExtrinsicRotation { .. }
+            Self::OnePose { .. }
+            | Self::ExtrinsicRotation { .. }
             | Self::ImuAxes { .. }
             | Self::ImuClock { .. }
             | Self::ScansApart { .. } => Verdict::Fail,
@@ -532,6 +559,25 @@ fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> 
         (field, not_believed) => format!(
             "according to the times of their points{}, {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
             field.map_or(String::new(), |f| format!(" (`{f}`)"))
+        ),
+    }
+}
+
+fn about_azimuths(problem: Option<AzimuthProblem>) -> String {
+    problem.map_or_else(String::new, |problem| {
+        format!(" (not by azimuth either: {})", problem.sentence())
+    })
+}
+
+fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64) -> String {
+    let these = format!("{scans} of {of} scans were deskewed by azimuth, which assumes that");
+    match ring_by_ring {
+        0 => format!("{these} their points are in firing order"),
+        n if n == scans => format!(
+            "{these} their rings, which follow one another, all begin with the turn of the sensor"
+        ),
+        n => format!(
+            "{these} their points are in firing order, or, in {n} of them, that all rings begin with the turn of the sensor"
         ),
     }
 }

@@ -1,7 +1,7 @@
 //! Deskewed scans, reduced to what mapping needs of them, as a recording of their own.
 //!
-//! An MCAP of ours with the rig in it. `/<lidar>/points` has each scan that found its place, in the LiDAR's frame at its last firing (its stamp; times of points
-//! are 0): means of short pieces of its rings. `/<lidar>_edges/points` has where its rings bend, three points for each: where the straight pieces meet, the middle
+//! An MCAP of ours with the rig in it. `/<lidar>/points` has each scan that found its place, in the LiDAR's frame at one instant, as a rule its last firing (its stamp; times
+//! of points are 0): means of short pieces of its rings. `/<lidar>_edges/points` has where its rings bend, three points for each: where the straight pieces meet, the middle
 //! of the one before, and the middle of the one behind. The metadata record `lsfb.clouds` says what was found by which settings.
 //! Reduction is described at [`SparseScan`].
 
@@ -61,6 +61,45 @@ pub struct StoringConfig<'a> {
     pub features: LidarFeatureConfig,
     /// Share of the points that is stored, from 0 to 1.
     pub share: f64,
+    /// What scans are deskewed to.
+    pub firing: Firing,
+}
+
+/// One firing of a scan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Firing {
+    /// With which it begins.
+    First,
+    /// In the middle between the others, by time.
+    Middle,
+    /// With which it ends: the odometry's poses are of then.
+    #[default]
+    Last,
+}
+
+impl Firing {
+    /// All there are.
+    pub const ALL: [Self; 3] = [Self::First, Self::Middle, Self::Last];
+
+    /// As it is written.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::First => "first",
+            Self::Middle => "middle",
+            Self::Last => "last",
+        }
+    }
+
+    /// When it is in a scan.
+    fn of(self, scan: &Stamped<LidarScan>) -> Timestamp {
+        let end = end_of(scan);
+        match self {
+            Self::First => scan.time,
+            Self::Middle => scan.time.plus_nanos((end - scan.time) / 2),
+            Self::Last => end,
+        }
+    }
 }
 
 /// Stores the scans of a recording that the odometry found a place for, deskewed by its trajectory. Written under another name first, so that a file by this name is
@@ -107,17 +146,18 @@ fn store(
         let reduced: Vec<_> = waiting
             .par_iter()
             .map(|scan| {
-                let (rings, end) = deskewed(scan, lidar, &odometry.trajectory, config.odometry)?;
+                let time = config.firing.of(scan);
+                let rings = deskewed(scan, time, lidar, &odometry.trajectory, config.odometry)?;
                 let sensor = lidar.rig_from_lidar.translation;
                 let noise_m = lidar.range_noise_m;
                 let share = config.share;
                 let reduced = SparseScan::of(&rings, &sensor, noise_m, &config.features, share);
                 let points: usize = rings.iter().map(Vec::len).sum();
-                Some((end, points as u64, reduced))
+                Some((time, points as u64, reduced))
             })
             .collect();
-        for (end, points, reduced) in reduced.into_iter().flatten() {
-            let [surfaces, edges] = messages(&reduced, end, &lidar.rig_from_lidar);
+        for (time, points, reduced) in reduced.into_iter().flatten() {
+            let [surfaces, edges] = messages(&reduced, time, &lidar.rig_from_lidar);
             report.scans += 1;
             report.points += points;
             report.stored += (surfaces.sample.points.len() + edges.sample.points.len()) as u64;
@@ -160,27 +200,31 @@ fn end_of(scan: &Stamped<LidarScan>) -> Timestamp {
     scan.time.plus_nanos(offsets_ns.max().unwrap_or(0).into())
 }
 
-/// The rings of a scan in the rig at its end, and when that is; `None` outside the trajectory.
+/// The rings of a scan in the rig at `time`; `None` outside the trajectory.
 fn deskewed(
     scan: &Stamped<LidarScan>,
+    time: Timestamp,
     lidar: &RigLidar,
     trajectory: &Trajectory,
     config: &OdometryConfig,
-) -> Option<(Vec<Vec<Vector3<f64>>>, Timestamp)> {
-    let end = end_of(scan);
-    let span_ns = end - scan.time;
+) -> Option<Vec<Vec<Vector3<f64>>>> {
+    let span_ns = end_of(scan) - scan.time;
     let steps = (0..=span_ns / KNOT_NS).map(|k| k * KNOT_NS);
     let offsets_ns = steps.chain([span_ns]);
-    let deskewed = Deskewed::at(end, scan, lidar, trajectory, offsets_ns, config)?;
-    Some((deskewed.rings, end))
+    let deskewed = Deskewed::at(time, scan, lidar, trajectory, offsets_ns, config)?;
+    Some(deskewed.rings)
 }
 
 /// Surfaces and edges, as messages have them.
-fn messages(reduced: &SparseScan, end: Timestamp, rig_from_lidar: &Se3) -> [Stamped<LidarScan>; 2] {
+fn messages(
+    reduced: &SparseScan,
+    time: Timestamp,
+    rig_from_lidar: &Se3,
+) -> [Stamped<LidarScan>; 2] {
     let lidar_from_rig = rig_from_lidar.inverse();
     let message = |points: Vec<(u16, Vector3<f64>)>| Stamped {
-        time: end,
-        arrival: end,
+        time,
+        arrival: time,
         device_ticks: 0,
         sample: LidarScan {
             points: points
@@ -218,7 +262,7 @@ pub struct StoredClouds {
 /// A scan that was stored.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredScan {
-    /// Its last firing, to which it is deskewed.
+    /// When it is deskewed to.
     pub time: Timestamp,
     /// In the rig then.
     pub reduced: SparseScan,

@@ -30,6 +30,17 @@ fn record(path: &Path, rig: &Rig) -> Recording {
     Recording::open(path).expect("recording")
 }
 
+/// Of a scan that is deskewed to its time.
+fn lies_in_the_room(stored: &StoredScan) {
+    let at_s = stored.time.secs_since(room::time(0.0));
+    let world_from_rig = room::world_from_rig(at_s);
+    let room = Room::furnished();
+    let off = stored.reduced.surfaces.iter();
+    let off = off.map(|(_, p)| room.distance_to_surface(&(world_from_rig * *p)));
+    let far = off.filter(|off| *off > 0.1).count();
+    assert!(100 * far < stored.reduced.surfaces.len(), "{far} off");
+}
+
 fn reason(opened: Result<StoredClouds, Error>) -> String {
     opened.err().expect("refused").to_string()
 }
@@ -45,6 +56,7 @@ fn what_is_stored_is_read_and_what_does_not_belong_is_refused() {
         odometry: &config,
         features: LidarFeatureConfig::default(),
         share: STORED_SHARE,
+        firing: Firing::Last,
     };
     let path = at("clouds.mcap");
     let report = store_clouds(&scan, &odometry, &storing, &path, &no_progress).expect("stored");
@@ -58,16 +70,27 @@ fn what_is_stored_is_read_and_what_does_not_belong_is_refused() {
     let clouds = StoredClouds::open(&path, &scan, &features, &no_progress).expect("opened");
     let read: Vec<StoredScan> = clouds.scans().expect("scans").flatten().collect();
     assert_eq!(read.len() as u64, report.scans);
-    let room = Room::furnished();
     for (stored, placed) in read.iter().zip(&odometry.scan_poses) {
         assert_eq!(stored.time, placed.pose.time);
         assert!(stored.reduced.bends.len() > 20);
-        let at_s = stored.time.secs_since(room::time(0.0));
-        let world_from_rig = room::world_from_rig(at_s);
-        let off = stored.reduced.surfaces.iter();
-        let off = off.map(|(_, p)| room.distance_to_surface(&(world_from_rig * *p)));
-        let far = off.filter(|off| *off > 0.1).count();
-        assert!(100 * far < stored.reduced.surfaces.len(), "{far} off");
+        lies_in_the_room(stored);
+    }
+
+    // Where the rig was earlier in each scan.
+    for (firing, before_end_ns) in [(Firing::First, 99_888_888), (Firing::Middle, 49_944_444)] {
+        let storing = StoringConfig {
+            firing,
+            ..storing.clone()
+        };
+        let path = at(firing.key());
+        store_clouds(&scan, &odometry, &storing, &path, &no_progress).expect("stored");
+        let clouds = StoredClouds::open(&path, &scan, &features, &no_progress).expect("opened");
+        let read: Vec<StoredScan> = clouds.scans().expect("scans").flatten().collect();
+        assert_eq!(read.len(), odometry.scan_poses.len());
+        for (stored, placed) in read.iter().zip(&odometry.scan_poses) {
+            assert_eq!(placed.pose.time - stored.time, before_end_ns);
+            lies_in_the_room(stored);
+        }
     }
 
     let other = LidarFeatureConfig {

@@ -6,16 +6,19 @@ use lsfb_drivers::any_lidar::Model;
 use lsfb_pipeline::lidar_features::LidarFeatureConfig;
 use lsfb_pipeline::loops::{Closing, Loops, close_loops, find_loops};
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport, OdometryResult};
-use lsfb_pipeline::stored_clouds::{STORED_SHARE, StoredReport, StoringConfig, store_clouds};
-use lsfb_recording::{Provenance, write_tum};
+use lsfb_pipeline::stored_clouds::{
+    Firing, STORED_SHARE, StoredReport, StoringConfig, store_clouds,
+};
+use lsfb_recording::{Provenance, Recording, write_tum};
 use lsfb_types::{Finding, Verdict};
 use serde::Serialize;
 
 use super::covariance_file;
-use super::odometry_input::{Choice, InputReport, is_ours, run as run_on};
+use super::odometry_input::{Choice, InputReport, Scratch, is_ours, run as run_on};
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
+use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
 /// Run LiDAR(-inertial) odometry on a recording, ROS bag, packet capture or folder of clouds.
@@ -28,7 +31,7 @@ use crate::outcome::Outcome;
 /// Exit code 3: packets or messages are missing or unreadable, scans have no pose, or the last position
 /// is uncertain by more than a metre; also for gaps of 1.5 s or more without a registered scan, in
 /// which no poses are written (lidar-gap). Exit code 4: IMU and scans contradict each other (axes,
-/// clock, unit, or mounting); the trajectory is written, but wrong.
+/// clock, unit, or mounting): the trajectory is written, but wrong; or only one scan has a pose.
 ///
 /// --out-loops detects revisited places, corrects the drift, and lists every loop candidate with its
 /// scores and verdict; edit the verdicts and pass the list to --loops to use it as it is. Details:
@@ -57,13 +60,16 @@ pub struct Arguments {
     /// Close the loops that this list accepts; do not search for others.
     #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
     loops: Option<PathBuf>,
-    /// Store the deskewed scans here, thinned to a fifth of their points, for `lsfb map --stored-clouds`;
-    /// only for recordings of `lsfb scan`. Not written if IMU and scans contradict each other.
+    /// Store the deskewed scans here, thinned to a fifth of their points; `lsfb map --stored-clouds` takes
+    /// those of recordings of `lsfb scan`. Not written if IMU and scans contradict each other.
     #[arg(long, value_name = "MCAP")]
     out_clouds: Option<PathBuf>,
     /// Share of the points to store.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * STORED_SHARE, value_parser = share_percent, requires = "out_clouds")]
     clouds_percent: f64,
+    /// Firing to which the stored scans are deskewed; poses are those of the last.
+    #[arg(long, value_name = "FIRING", default_value = Firing::Last.key(), value_parser = one_of(&Firing::ALL, Firing::key), requires = "out_clouds")]
+    clouds_at: Firing,
     /// Use settings for streets: long ranges, coarse voxels.
     #[arg(long)]
     outdoor: bool,
@@ -124,22 +130,23 @@ fn share_percent(text: &str) -> Result<f64, String> {
     share.ok_or_else(|| "expected a number from 1 to 100".to_owned())
 }
 
-/// Stores the clouds that are asked for.
+/// Stores the clouds that are asked for, of scans that are in a recording.
 fn store(
     path: &Path,
+    recording: &Recording,
     arguments: &Arguments,
     config: &OdometryConfig,
     result: &OdometryResult,
     context: &Context,
 ) -> anyhow::Result<StoredReport> {
-    let recording = context.open(&arguments.input)?;
     let storing = StoringConfig {
         odometry: config,
         features: LidarFeatureConfig::default(),
         share: arguments.clouds_percent / 100.0,
+        firing: arguments.clouds_at,
     };
     let progress = |p| context.show(p);
-    Ok(store_clouds(&recording, result, &storing, path, &progress)?)
+    Ok(store_clouds(recording, result, &storing, path, &progress)?)
 }
 
 /// Closes the loops that are asked for; `None` where none are.
@@ -231,12 +238,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         imu: arguments.imu.as_deref(),
         rate_hz: arguments.rate_hz,
         model: arguments.lidar_model,
+        keep: None,
     };
-    anyhow::ensure!(
-        arguments.out_clouds.is_none() || is_recording(&choice)?,
-        "--out-clouds needs a recording of `lsfb scan`, as `lsfb map` does, and {} is not one: convert it with `lsfb import`",
-        arguments.input.display()
-    );
+    let kept = match arguments.out_clouds.is_some() && !is_recording(&choice)? {
+        true => Some(Scratch::new("scans")?),
+        false => None,
+    };
+    let choice = Choice {
+        keep: kept.as_ref().map(|kept| kept.scans.as_path()),
+        ..choice
+    };
     let mut found = run_on(&choice, &config, context)?;
     let loops = close(arguments, &config, &mut found.result, context)?;
     context.check_stop()?;
@@ -265,7 +276,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let out_clouds = arguments.out_clouds.as_deref();
     let out_clouds = out_clouds.filter(|_| judgement.verdict() != Verdict::Fail);
     let clouds = out_clouds.map(|path| {
-        let stored = store(path, arguments, &config, &found.result, context)?;
+        let recording = match &kept {
+            Some(kept) => Recording::open(&kept.scans)?,
+            None => context.open(&arguments.input)?,
+        };
+        let stored = store(path, &recording, arguments, &config, &found.result, context)?;
         provenance.write(path)?;
         anyhow::Ok(stored)
     });

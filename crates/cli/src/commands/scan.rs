@@ -20,7 +20,7 @@ use lsfb_operator::{ScreenConfig, SecureScreen};
 use lsfb_recording::Existing;
 
 use crate::context::{Context, sentence};
-use crate::live::{Live, LiveConfig, Odometry};
+use crate::live::{Live, LiveConfig, LiveOdometryReport, Odometry, Recorded};
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
@@ -243,8 +243,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if arguments.screen.is_some() {
             return record_on_demand(arguments, &devices, &live, context);
         }
-        let report = live.record(&devices, &arguments.out, context)?;
-        return print(&report, context);
+        let recorded = live.record(&devices, &arguments.out, context)?;
+        context.print(&recorded, || text_of_live(&recorded))?;
+        return Ok(outcome([&recorded.capture]));
     }
     let show = |p| context.show(p);
     let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
@@ -381,16 +382,16 @@ fn record_on_demand(
     live: &Live,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
-    let mut reports: Vec<CaptureReport> = Vec::new();
+    let mut reports: Vec<Recorded> = Vec::new();
     let mut failures = 0;
     let mut begin = arguments.now;
     while begin || live.wait_for_start(context) {
         begin = false;
         let out = unused(&arguments.out);
         match live.record(devices, &out, context) {
-            Ok(report) => {
-                context.note(&text(&report));
-                reports.push(report);
+            Ok(recorded) => {
+                context.note(&text_of_live(&recorded));
+                reports.push(recorded);
             }
             // The operator mends it and presses START again.
             Err(error) => {
@@ -407,7 +408,7 @@ fn record_on_demand(
         failures == 0 || !reports.is_empty(),
         "no recording could be made; see above"
     );
-    Ok(outcome(&reports))
+    Ok(outcome(reports.iter().map(|recorded| &recorded.capture)))
 }
 
 /// The name itself where it is free, else with the first free number.
@@ -424,15 +425,47 @@ fn unused(out: &Path) -> PathBuf {
 
 fn print(report: &CaptureReport, context: &Context) -> anyhow::Result<Outcome> {
     context.print(report, || text(report))?;
-    Ok(outcome(std::slice::from_ref(report)))
+    Ok(outcome([report]))
 }
 
-fn outcome(reports: &[CaptureReport]) -> Outcome {
-    if reports.iter().all(|report| report.lost == 0) {
+fn outcome<'a>(reports: impl IntoIterator<Item = &'a CaptureReport>) -> Outcome {
+    if reports.into_iter().all(|report| report.lost == 0) {
         Outcome::Done
     } else {
         Outcome::DataLost
     }
+}
+
+/// The report of a recording of devices, for people.
+fn text_of_live(recorded: &Recorded) -> String {
+    let mut out = text(&recorded.capture);
+    if let Some(odometry) = &recorded.live_odometry {
+        let _ = write!(out, "\n  live map     {}", about_odometry(odometry));
+    }
+    out
+}
+
+fn about_odometry(odometry: &LiveOdometryReport) -> String {
+    let mut out = format!(
+        "{} scans registered, {} lost; poses after {:.0} ms (median), {:.0} ms (99 %)",
+        odometry.registered, odometry.lost, odometry.latency_p50_ms, odometry.latency_p99_ms
+    );
+    for (count, what) in [
+        (odometry.skipped_scans, "scans"),
+        (odometry.skipped_imu_samples, "IMU samples"),
+    ] {
+        if count > 0 {
+            let _ = write!(out, "; {count} {what} skipped because it was behind");
+        }
+    }
+    if odometry.missed_by_tap > 0 {
+        let missed = odometry.missed_by_tap;
+        let _ = write!(
+            out,
+            "; {missed} messages not shown, because the live view was behind"
+        );
+    }
+    out
 }
 
 /// The report for people.

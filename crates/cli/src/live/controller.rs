@@ -147,6 +147,7 @@ impl Controller {
                 if let Some(running) = &mut self.running {
                     running.streams.end(&report.streams);
                     state.streams = running.streams.states();
+                    running.tell();
                 }
                 state.lost = report.lost;
                 state.message_level = if report.lost == 0 {
@@ -274,17 +275,23 @@ impl Controller {
 
     fn take_step(&mut self, live: &LiveStep) {
         let step = &live.step;
-        let lost = step.outcome == StepOutcome::Lost;
         if let Some(running) = &mut self.running {
-            running.registered = Some(Instant::now());
-            running.unseen.take(step, Instant::now());
+            running.following.take(live, Instant::now());
             if let (Some(poses), Some(pose)) = (&running.poses, &live.at_cloud) {
                 poses.put(pose, host_now());
             }
         }
-        self.state.tracking = if lost { Tracking::Lost } else { Tracking::Good };
-        let points: &[Vector3<f64>] = if lost { &[] } else { &step.keypoints_in_rig };
-        self.map.push(step.time, &step.world_from_rig, points);
+        self.state.tracking = match step.outcome {
+            StepOutcome::Lost => Tracking::Lost,
+            StepOutcome::First | StepOutcome::Registered => Tracking::Good,
+        };
+        if step.begins_again() {
+            self.map.begin_again();
+        }
+        for placed in step.placed() {
+            let points = &placed.keypoints_in_rig;
+            self.map.push(placed.time, &placed.world_from_rig, points);
+        }
         self.outputs.send_step(live, host_now());
     }
 
@@ -312,6 +319,7 @@ impl Controller {
                 state.lost = running.streams.lost();
                 // Where the rig is lost, that is what matters.
                 state.unseen = running
+                    .following
                     .unseen
                     .shown(now)
                     .filter(|_| state.tracking == Tracking::Good);
@@ -320,9 +328,7 @@ impl Controller {
                     state.tracking_problem = problem;
                 } else {
                     state.tracking_problem = match state.tracking {
-                        Tracking::Lost => {
-                            "Map lost: slow down, or return to where it was good.".to_owned()
-                        }
+                        Tracking::Lost => running.following.lost_sentence(now),
                         _ => state.unseen.as_ref().map_or_else(String::new, sentence_of),
                     };
                 }
@@ -332,6 +338,8 @@ impl Controller {
                 }
                 state.pose = self.map.pose();
                 state.path_m = self.map.path_m();
+                let skipped = running.odometry.as_ref().map(OdometryThread::skipped);
+                state.skipped_scans = skipped.map_or(0, |skipped| skipped.scans);
             }
             if let Some(screen) = &self.outputs.screen {
                 screen.publish(&self.state);
@@ -380,4 +388,61 @@ fn viewers(rig: &Rig) -> Vec<Viewer> {
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use super::super::odometry::tests::live;
+    use super::*;
+
+    fn controller() -> Controller {
+        let outputs = Outputs {
+            screen: None,
+            foxglove: None,
+            #[cfg(feature = "view")]
+            rerun: None,
+        };
+        let channels = Channels {
+            requests: None,
+            events: sync_channel(1).1,
+            starts: sync_channel(1).0,
+            end: Arc::default(),
+            board: Arc::default(),
+            folder: None,
+            power_supplies: PathBuf::new(),
+        };
+        Controller::new(outputs, channels)
+    }
+
+    /// The rig moves a metre per millisecond. Predictions of lost scans grew the path, and steps that came anew did not replace it.
+    #[test]
+    fn the_map_has_what_found_its_place_and_nothing_else() {
+        use StepOutcome::{First, Lost, Registered};
+        let now = Instant::now();
+        let mut controller = controller();
+        let shown = |controller: &Controller| {
+            let x_m = controller.map.pose().map(|pose| pose.x_m.round());
+            (controller.map.path_m().round(), x_m)
+        };
+        controller.take_step(&live(99, First, now));
+        controller.take_step(&live(199, Registered, now));
+        assert_eq!(shown(&controller), (100.0, Some(199.0)));
+        assert_eq!(controller.state.tracking, Tracking::Good);
+        controller.take_step(&live(299, Lost, now));
+        assert_eq!(shown(&controller), (100.0, Some(199.0)));
+        assert_eq!(controller.state.tracking, Tracking::Lost);
+        // It had begun at another velocity: twice the way, and the third has no place still.
+        let mut telling = live(399, Registered, now);
+        let anew = [(99, First), (199, Registered), (299, Lost)];
+        telling.step.anew = anew.map(|(ms, outcome)| live(ms, outcome, now).step).into();
+        telling.step.world_from_rig.translation *= 2.0;
+        for step in &mut telling.step.anew {
+            step.world_from_rig.translation *= 2.0;
+        }
+        controller.take_step(&telling);
+        assert_eq!(shown(&controller), (600.0, Some(798.0)));
+        assert_eq!(controller.state.tracking, Tracking::Good);
+    }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use lsfb_capture::Tapped;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_operator::LiveMessage;
-use lsfb_pipeline::odometry::{MotionKind, OdometryStep};
+use lsfb_pipeline::odometry::{MotionKind, OdometryStep, StepOutcome};
 use lsfb_recording::message::{self, Schema, StaticTransform};
 use lsfb_recording::{ODOM_FRAME, TF};
 use lsfb_types::Timestamp;
@@ -76,7 +76,7 @@ impl Outputs {
                     )
                 });
             }
-            Tapped::Scan { lidar, scan } => {
+            Tapped::Scan { lidar, scan, .. } => {
                 let topic = format!("/{lidar}/points");
                 let about = about(&topic, &message::POINT_CLOUD, scan.arrival);
                 foxglove.publish(&about, || {
@@ -137,25 +137,31 @@ impl Outputs {
         }
     }
 
-    /// Shows where the rig is, and what the LiDAR saw there.
+    /// Shows where the rig is, and what the LiDAR saw there. Of a scan that found no place nothing is known.
     pub fn send_step(&self, live: &LiveStep, now: Timestamp) {
         #[cfg(feature = "view")]
         if let Some(rerun) = &self.rerun {
-            let step = &live.step;
-            let unseen = step.unseen.map(|unseen| unseen.direction_in_world);
-            rerun.step(
-                step.time,
-                &step.world_from_rig,
-                &step.keypoints_in_rig,
-                unseen,
-            );
+            if live.step.begins_again() {
+                rerun.begin_again();
+            }
+            for step in live.step.placed() {
+                let unseen = step.unseen.map(|unseen| unseen.direction_in_world);
+                rerun.step(
+                    step.time,
+                    &step.world_from_rig,
+                    &step.keypoints_in_rig,
+                    unseen,
+                );
+            }
         }
         if let (Some(foxglove), Some(pose)) = (&self.foxglove, &live.at_cloud) {
             foxglove.publish(&about(TF, &message::TF_MESSAGE, now), || {
                 message::encode_odometry(pose.time, &pose.world_from_rig)
             });
         }
-        if let Some(foxglove) = &self.foxglove {
+        if let Some(foxglove) = &self.foxglove
+            && live.step.outcome != StepOutcome::Lost
+        {
             for (topic, kind) in UNSEEN {
                 foxglove.publish(&about(topic, &message::VECTOR, now), || {
                     message::encode_vector(live.step.time, ODOM_FRAME, &unseen_of(&live.step, kind))

@@ -4,6 +4,7 @@
 //! for by the recorder: what they are too slow for is recorded without being shown.
 
 mod controller;
+mod following;
 mod host;
 mod messages;
 mod odometry;
@@ -25,10 +26,15 @@ use lsfb_capture::{CaptureReport, DevicesConfig, PhonesListener, Poses, Remarks,
 use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
 use lsfb_types::Stopped;
+use serde::Serialize;
 
 use crate::context::{Context, sentence};
 use crate::qr_code;
 use controller::{Channels, Controller};
+pub use following::LiveOdometryReport;
+
+/// How long a recording that has ended is waited for to be told of by the controller, which may be drawing the map.
+const LAST_WORD: Duration = Duration::from_secs(5);
 
 /// Who looks.
 #[derive(Clone, Debug, Default)]
@@ -122,6 +128,18 @@ struct Run {
     stop: Arc<AtomicBool>,
     /// Where the rig's poses go, where the odometry runs.
     poses: Option<Poses>,
+    /// Who is told in the end what the odometry made of the scans.
+    told: SyncSender<LiveOdometryReport>,
+}
+
+/// A recording that was made.
+#[derive(Clone, Debug, Serialize)]
+pub struct Recorded {
+    #[serde(flatten)]
+    pub capture: CaptureReport,
+    /// Absent where the live odometry did not run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub live_odometry: Option<LiveOdometryReport>,
 }
 
 /// Everything live, running.
@@ -222,21 +240,28 @@ impl Live {
         devices: &DevicesConfig,
         out: &Path,
         context: &Context,
-    ) -> anyhow::Result<CaptureReport> {
-        let outcome = self.record_shown(devices, out, context);
-        let told = match &outcome {
+    ) -> anyhow::Result<Recorded> {
+        let (told, heard) = sync_channel(1);
+        let outcome = self.record_shown(devices, out, told, context);
+        let ended = match &outcome {
             Ok(report) => Ok(Box::new(report.clone())),
             Err(error) => Err(sentence(error)),
         };
         // A controller that died has said so; the recording is made all the same.
-        let _ = self.events.send(Event::End(told));
-        outcome
+        let _ = self.events.send(Event::End(ended));
+        let capture = outcome?;
+        Ok(Recorded {
+            // Without odometry the other end is dropped, and nobody waits.
+            live_odometry: heard.recv_timeout(LAST_WORD).ok(),
+            capture,
+        })
     }
 
     fn record_shown(
         &self,
         devices: &DevicesConfig,
         out: &Path,
+        told: SyncSender<LiveOdometryReport>,
         context: &Context,
     ) -> anyhow::Result<CaptureReport> {
         let mut session = Session::open_with(devices, self.phones.as_ref())?;
@@ -256,6 +281,7 @@ impl Live {
             remarks: session.remarks(),
             health: session.health().subscribe(),
             stop: Arc::clone(&stop),
+            told,
         };
         let _ = self.events.send(Event::Begin(Box::new(run)));
         let board = Arc::clone(&self.board);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, SyncSender};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use lsfb_capture::health::Snapshot;
@@ -14,14 +14,10 @@ use lsfb_recording::message::Remark;
 use lsfb_types::Timestamp;
 
 use super::Run;
+use super::following::{Following, LiveOdometryReport};
 use super::odometry::OdometryThread;
 use super::streams::Streams;
-use super::unseen::Unseen;
 
-/// A map to which no scan was added for this long shows the past.
-const FROZEN_AFTER: Duration = Duration::from_secs(1);
-/// The odometry needs some scans before the first is registered.
-const BEGUN_AFTER: Duration = Duration::from_secs(5);
 /// Between two previews of a camera.
 const PREVIEW_EVERY: Duration = Duration::from_secs(1);
 
@@ -43,10 +39,10 @@ pub struct Running {
     clock: Option<(Timestamp, Timestamp)>,
     pub cameras_sent: BTreeMap<String, Timestamp>,
     previews_sent: BTreeMap<String, Instant>,
-    /// When a scan was registered last.
-    pub registered: Option<Instant>,
-    /// What scans do not see of the motion.
-    pub unseen: Unseen,
+    /// What became of the scans in the live odometry.
+    pub following: Following,
+    /// Who is told of it in the end.
+    told: SyncSender<LiveOdometryReport>,
 }
 
 impl Running {
@@ -72,8 +68,8 @@ impl Running {
             clock: None,
             cameras_sent: BTreeMap::new(),
             previews_sent: BTreeMap::new(),
-            registered: None,
-            unseen: Unseen::default(),
+            following: Following::default(),
+            told: run.told,
         }
     }
 
@@ -99,13 +95,17 @@ impl Running {
     }
 
     /// Hands the odometry its scans and samples.
-    pub fn feed_odometry(&self, entry: Tapped) {
-        let Some(odometry) = &self.odometry else {
+    pub fn feed_odometry(&mut self, entry: Tapped) {
+        let Some(odometry) = &mut self.odometry else {
             return;
         };
         match entry {
             Tapped::Imu { imu, sample } if imu == self.main_imu => odometry.push_imu(&sample),
-            Tapped::Scan { lidar, scan } if lidar == self.main_lidar => odometry.push_scan(scan),
+            Tapped::Scan {
+                lidar,
+                scan,
+                offered,
+            } if lidar == self.main_lidar => odometry.push_scan(scan, offered),
             _ => {}
         }
     }
@@ -113,17 +113,25 @@ impl Running {
     /// Why the map does not grow any more, or has not begun to; `None` while it does, and where there is none.
     pub fn frozen(&self, now: Instant) -> Option<String> {
         self.odometry.as_ref()?;
-        let secs = |since: Instant| now.duration_since(since).as_secs_f64();
-        match self.registered {
-            Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
-                "No scan registered for {:.1} s. Check the LiDAR.",
-                secs(last)
-            )),
-            None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
-                "No map after {:.0} s: no scan could be registered. Check the LiDAR.",
-                secs(self.began)
-            )),
-            _ => None,
+        self.following.frozen(self.began, now)
+    }
+
+    /// What the live odometry made of the scans; `None` where there is none.
+    pub fn odometry_report(&self) -> Option<LiveOdometryReport> {
+        let skipped = self.odometry.as_ref()?.skipped();
+        Some(LiveOdometryReport {
+            skipped_scans: skipped.scans,
+            skipped_imu_samples: skipped.imu_samples,
+            missed_by_tap: self.tap.missed(),
+            ..self.following.report()
+        })
+    }
+
+    /// Tells what became of the scans, now that the recording has ended.
+    pub fn tell(&self) {
+        if let Some(report) = self.odometry_report() {
+            // Who asked may be gone.
+            let _ = self.told.try_send(report);
         }
     }
 

@@ -57,7 +57,7 @@ impl Streams {
         match entry {
             Tapped::Image { camera, image } => self.delay(camera, image.time, image.arrival, now),
             Tapped::Imu { imu, sample } => self.delay(imu, sample.time, sample.arrival, now),
-            Tapped::Scan { lidar, scan } => {
+            Tapped::Scan { lidar, scan, .. } => {
                 // A scan is stamped by its first packet.
                 self.delay(lidar, scan.time, scan.arrival, now);
             }
@@ -275,6 +275,7 @@ mod tests {
         let scan = || Tapped::Scan {
             lidar: "lidar".to_owned(),
             scan: stamped(0, 12 * ms, LidarScan::default()),
+            offered: now,
         };
         streams.note(&imu(2), now);
         assert_eq!(streams.sync(now), SyncState::default());

@@ -7,6 +7,7 @@ use lsfb_recording::cloud::{Cloud, PointTimes, TimesBegin};
 use lsfb_recording::sort_naturally;
 use lsfb_types::Timestamp;
 
+use super::graph::{cloud_files, is_graph_folder, read_whole};
 use super::{endings, format_of, read_cloud};
 use crate::Error;
 
@@ -41,6 +42,8 @@ pub struct FileScan {
 #[derive(Debug)]
 pub struct CloudFolder {
     files: Vec<PathBuf>,
+    /// Whether they are those of gtsam_points, whose points are three numbers each.
+    is_graph: bool,
     stamps: Vec<Timestamp>,
     /// Where the stamps come from, and whether points knew better.
     stamped_by: ScanTimes,
@@ -51,10 +54,11 @@ impl CloudFolder {
     /// Finds the clouds of a folder, whose scans are `rate_hz` a second where nothing tells when they were taken; or takes a single
     /// file.
     pub fn open(path: &Path, rate_hz: f64) -> Result<Self, Error> {
-        let files = if path.is_dir() {
-            clouds_in(path)?
-        } else {
-            vec![path.to_owned()]
+        let is_graph = path.is_dir() && is_graph_folder(path);
+        let files = match path.is_dir() {
+            true if is_graph => expect_clouds(cloud_files(path)?, path)?,
+            true => clouds_in(path)?,
+            false => vec![path.to_owned()],
         };
         let stems = files.iter().map(|f| format_of(f).map(|(_, stem)| stem));
         let by_name: Option<Vec<Timestamp>> = stems.map(|stem| named_time(&stem?)).collect();
@@ -68,6 +72,7 @@ impl CloudFolder {
         };
         Ok(Self {
             files,
+            is_graph,
             stamps,
             stamped_by,
             points_told: Cell::new(false),
@@ -91,7 +96,10 @@ impl CloudFolder {
             .iter()
             .zip(&self.stamps)
             .map(move |(path, stamp)| {
-                let cloud = read_cloud(path)?;
+                let cloud = match self.is_graph {
+                    true => read_whole(path)?,
+                    false => read_cloud(path)?,
+                };
                 let time = match &cloud.times {
                     // A clock that counts from anything but 1970 is not that of names or of a list, and better than a rate.
                     PointTimes::Field { begins, .. } => match (begins, begins.since_1970()) {
@@ -142,6 +150,10 @@ fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {
         }
     }
     sort_naturally(&mut files);
+    expect_clouds(files, folder)
+}
+
+fn expect_clouds(files: Vec<PathBuf>, folder: &Path) -> Result<Vec<PathBuf>, Error> {
     if files.is_empty() {
         return Err(Error::NoClouds {
             path: folder.to_owned(),

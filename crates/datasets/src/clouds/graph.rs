@@ -3,12 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Quaternion, Se3, UnitQuaternion, Vector3};
+use lsfb_recording::cloud::{Cloud, PointTimes};
 use lsfb_recording::sort_naturally;
+use lsfb_types::{LidarPoint, LidarScan};
 
 use crate::Error;
 
 /// The poses: a line each, its name, x y z in metres, and a quaternion x y z w.
 const GRAPH: &str = "graph.txt";
+/// What names of files of planes and edges begin with.
+const PLANES: &str = "planes_";
+const EDGES: &str = "edges_";
 /// Bytes of a point: three floats of four bytes, little-endian.
 const POINT_BYTES: usize = 12;
 
@@ -49,12 +54,8 @@ pub fn read_graph_folder(folder: &Path) -> Result<Vec<GraphCloud>, Error> {
             })
         })
         .collect::<Result<_, _>>()?;
-    let planes = files(folder, "planes_")?;
-    let edges = files(folder, "edges_")?;
-    let clouds = match planes.is_empty() {
-        true => clouds_of_folders(folder)?,
-        false => planes,
-    };
+    let clouds = cloud_files(folder)?;
+    let edges = files(folder, EDGES)?;
     if clouds.len() != poses.len() || !(edges.is_empty() || edges.len() == poses.len()) {
         let (clouds, edges) = (clouds.len(), edges.len());
         let found = format!(
@@ -85,6 +86,37 @@ fn pose(line: &str) -> Option<Se3> {
     (finite && is_rotation).then(|| {
         let rotation = UnitQuaternion::from_quaternion(rotation);
         Se3::new(rotation, Vector3::new(x, y, z))
+    })
+}
+
+/// The files of its clouds, in order: all of their points, or those of planes.
+pub(super) fn cloud_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let planes = files(folder, PLANES)?;
+    match planes.is_empty() {
+        true => clouds_of_folders(folder),
+        false => Ok(planes),
+    }
+}
+
+/// All points of one of its clouds, those of edges behind those of planes.
+pub(super) fn read_whole(file: &Path) -> Result<Cloud, Error> {
+    let mut positions = points(file)?;
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    if let Some(number) = name.strip_prefix(PLANES) {
+        let edges = file.with_file_name(format!("{EDGES}{number}"));
+        if edges.is_file() {
+            positions.extend(points(&edges)?);
+        }
+    }
+    let points = positions.into_iter().map(|p| LidarPoint {
+        position_m: p.map(|c| c as f32).into(),
+        ..LidarPoint::default()
+    });
+    Ok(Cloud {
+        scan: LidarScan {
+            points: points.collect(),
+        },
+        times: PointTimes::Absent,
     })
 }
 
@@ -171,6 +203,13 @@ mod tests {
             Vector3::new(1.0, 2.0, 3.0)
         );
         assert!(read[0].edges.is_empty());
+        let whole = |name: &str| read_whole(&folder.path().join(name)).expect("a cloud").scan;
+        write("edges_10.bin", &bytes(&[[7.0, 8.0, 9.0]]));
+        let positions = whole("planes_10.bin").points;
+        let positions: Vec<_> = positions.iter().map(|p| p.position_m).collect();
+        assert_eq!(positions, [[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]);
+        assert_eq!(whole("planes_2.bin").points.len(), 1);
+        std::fs::remove_file(folder.path().join("edges_10.bin")).expect("removed");
         let problem = || {
             let error = read_graph_folder(folder.path()).expect_err("wrong");
             error.to_string()

@@ -319,6 +319,21 @@ fn folders_are_read_in_the_order_of_their_numbers_with_the_times_there_are() {
     ));
 }
 
+/// Its folders hold a cloud each, and nothing was found in it.
+#[test]
+fn a_folder_of_gtsam_points_is_a_folder_of_clouds() {
+    let test = "a_folder_of_gtsam_points_is_a_folder_of_clouds";
+    let Some(folder) = lsfb_tests::recordings(test, "lidar/gtsam_points") else {
+        return;
+    };
+    for (below, points) in [("kitti_07_dump", 21_562), ("newer_01", 19_968 + 1_309)] {
+        let clouds = CloudFolder::open(&folder.join(below), 10.0).expect("clouds");
+        assert_eq!((clouds.len(), clouds.scan_times()), (5, ScanTimes::Rate));
+        let first = clouds.scans().next().expect("a scan").expect("read");
+        assert_eq!(first.cloud.scan.points.len(), points, "{below}");
+    }
+}
+
 /// CloudCompare's binary files of the pair that small_gicp is tried on.
 #[test]
 fn plys_of_others_are_read() {

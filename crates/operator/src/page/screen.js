@@ -125,6 +125,8 @@ function show(next) {
   $("walked").textContent = `${state.path_m.toFixed(0)} m walked`;
   const { seen_m2, good_m2 } = state.coverage;
   $("covered").textContent = seen_m2 > 0 ? `${Math.round((100 * good_m2) / seen_m2)} % well covered` : "";
+  // They are recorded; the map lacks them.
+  $("skipped").textContent = state.skipped_scans > 0 ? `${count(state.skipped_scans)} scans skipped` : "";
   map.state(state.pose, state.coverage.go_back, state.control_points, state.unseen);
 }
 

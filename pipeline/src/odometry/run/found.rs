@@ -44,8 +44,9 @@ impl Found {
             }
             Err(other) => return Err(other),
         };
+        let begins_again = step.begins_again();
         let anew = std::mem::take(&mut step.anew);
-        if !anew.is_empty() || step.outcome == StepOutcome::First {
+        if begins_again {
             self.forget_steps(anew.len() as u64);
         }
         for step in anew.into_iter().chain([step]) {

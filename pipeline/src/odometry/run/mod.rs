@@ -8,10 +8,10 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::vec::IntoIter;
 
-use lsfb_geometry::{ImuNoiseModel, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
+use lsfb_geometry::{ImuNoiseModel, MAIN_LIDAR, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
 use lsfb_perception::statistics::median;
-use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
+use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
 use super::agreement::{Scans, contradictions, is_told_along, lay};
@@ -151,6 +151,8 @@ pub struct OdometryRun {
     /// Places of the points of the scan before.
     last_positions_m: Vec<[f32; 3]>,
     found: Found,
+    /// Where scans are kept, if they are, and the name of their LiDAR there.
+    kept: Option<(Writer, String)>,
 }
 
 /// What lasts less than this share of what scans usually last is a piece of one.
@@ -199,7 +201,18 @@ impl OdometryRun {
             durations_s: Vec::new(),
             last_positions_m: Vec::new(),
             found,
+            kept: None,
         })
+    }
+
+    /// Keeps each scan in a recording with this rig, its points timed as the odometry takes them: clouds can be stored from there afterwards, whatever the scans
+    /// came from.
+    pub fn keeping_scans(mut self, path: &Path, rig: &Rig) -> Result<Self, Error> {
+        let lidar = rig.main_lidar_name().unwrap_or(MAIN_LIDAR);
+        let mut writer = Writer::create(path, &WriterConfig::default())?;
+        writer.attach_rig(rig)?;
+        self.kept = Some((writer, lidar.to_owned()));
+        Ok(self)
     }
 
     /// Takes azimuths for times where points carry none: for clouds of a spinning sensor as it fired them.
@@ -224,6 +237,9 @@ impl OdometryRun {
     }
 
     fn register(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
+        if let Some((writer, lidar)) = &mut self.kept {
+            writer.write_scan(lidar, scan)?;
+        }
         self.ranges.take(&scan.sample, &self.config);
         self.durations_s.push(duration_s(&scan.sample));
         let positions_m: Vec<[f32; 3]> = scan.sample.points.iter().map(|p| p.position_m).collect();
@@ -261,6 +277,9 @@ impl OdometryRun {
     pub fn finish(mut self) -> Result<OdometryResult, Error> {
         if let Some(last) = self.clock.finish() {
             self.register_last(&last)?;
+        }
+        if let Some((writer, _)) = self.kept.take() {
+            writer.finish()?;
         }
         self.found.report.deskew = self.clock.report;
         let state = self.odometry.inertial_state();

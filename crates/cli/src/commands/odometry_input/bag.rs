@@ -12,7 +12,8 @@ use lsfb_drivers::transport::PacketSource;
 use lsfb_pipeline::odometry::{OdometryConfig, TimedScan};
 use lsfb_types::{Packet, Progress, Stamped};
 
-use super::packets::{Scratch, about_packets, decode, run_on_scans};
+use super::packets::{about_packets, decode, run_on_scans};
+use super::scratch::Scratch;
 use super::sensors::{Sensors, about_unread};
 use super::{Choice, InputReport, Run};
 use crate::commands::about;
@@ -38,7 +39,7 @@ pub(super) fn run(
     let sensors = Sensors::of_bag(&bag, choice, &bag.frame(&topic)?, &mut said, context)?;
     let mut run = sensors.start(choice, config)?;
     if messages == LidarMessages::Packets {
-        let scratch = Scratch::new()?;
+        let scratch = Scratch::new("packets")?;
         let (decoded, unread) = decode_bag(&topic, &scratch.scans, choice, context)?;
         said.warnings.extend(about_unread(&unread, context));
         said.scan_times = "packets".to_owned();

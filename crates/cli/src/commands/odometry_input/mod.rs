@@ -3,6 +3,7 @@
 mod bag;
 mod clouds;
 mod packets;
+mod scratch;
 mod sensors;
 
 use std::path::Path;
@@ -17,6 +18,7 @@ use serde::Serialize;
 
 use crate::commands::{about, expect_file};
 use crate::context::Context;
+pub use scratch::Scratch;
 
 /// What the command line says about the input.
 pub struct Choice<'a> {
@@ -27,6 +29,8 @@ pub struct Choice<'a> {
     pub rate_hz: f64,
     /// The sensor: of packets the one that they must be of; of clouds one whose azimuths are times.
     pub model: Option<Model>,
+    /// Where the scans of an input that is no recording of ours are kept, for whoever stores clouds of them.
+    pub keep: Option<&'a Path>,
 }
 
 /// What the scans and samples were taken from.

@@ -1,8 +1,8 @@
 //! Odometry of packets, which become scans in a file that is gone afterwards.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
 use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
@@ -13,6 +13,7 @@ use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::Progress;
 
+use super::scratch::Scratch;
 use super::sensors::Sensors;
 use super::{Choice, InputReport, Run, expect_no_topics};
 use crate::context::Context;
@@ -24,7 +25,7 @@ pub(super) fn run(
     context: &Context,
 ) -> anyhow::Result<Run> {
     expect_no_topics(choice)?;
-    let scratch = Scratch::new()?;
+    let scratch = Scratch::new("packets")?;
     let source = PcapSource::open(choice.path, &[])?;
     let decoded = decode(source, &scratch.scans, choice, context)?;
     let run = Sensors::lidar_alone(choice)?.start(choice, config)?;
@@ -114,28 +115,4 @@ pub(super) fn about_packets(report: &CaptureReport, context: &Context) -> Vec<St
     }
     said.extend(report.streams.iter().flat_map(|s| s.notes.iter().cloned()));
     said
-}
-
-/// A folder for scans between decoder and odometry, away from the result; gone with this.
-pub(super) struct Scratch {
-    folder: PathBuf,
-    pub scans: PathBuf,
-}
-
-impl Scratch {
-    pub fn new() -> anyhow::Result<Self> {
-        let folder = std::env::temp_dir().join(format!("lsfb-odometry-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        Ok(Self {
-            scans: folder.join("scans.mcap"),
-            folder,
-        })
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // What stays behind in the system's folder for such files is the system's to clear.
-        let _ = std::fs::remove_dir_all(&self.folder);
-    }
 }

@@ -1,8 +1,10 @@
 //! The LiDAR and the IMU of an input that brings no rig.
 
+use std::collections::BTreeMap;
+
 use anyhow::Context as _;
 use lsfb_datasets::{RosBag, Unread, pose_in};
-use lsfb_geometry::{ImuNoiseModel, Rig, RigLidar, Se3};
+use lsfb_geometry::{ImuNoiseModel, Rig, RigImu, RigLidar, Se3};
 use lsfb_pipeline::odometry::{ImuSamples, OdometryConfig, OdometryRun};
 use lsfb_types::Stamped;
 
@@ -101,8 +103,25 @@ impl Sensors {
         Ok(sensors)
     }
 
+    /// The rig file where there is one, else a rig of these.
+    fn rig(&self, choice: &Choice) -> anyhow::Result<Rig> {
+        if let Some(path) = choice.rig {
+            return Ok(Rig::read(path)?);
+        }
+        let imus = self.imu.as_ref();
+        Ok(Rig {
+            lidars: self.lidar.clone().alone(),
+            imus: imus.map_or_else(BTreeMap::new, |imu| RigImu::from(imu.noise.clone()).alone()),
+            ..Rig::empty("input")
+        })
+    }
+
     pub fn start(self, choice: &Choice, config: &OdometryConfig) -> anyhow::Result<OdometryRun> {
-        let run = OdometryRun::new(config, &self.lidar, self.imu)?;
+        let rig = self.rig(choice)?;
+        let mut run = OdometryRun::new(config, &self.lidar, self.imu)?;
+        if let Some(path) = choice.keep {
+            run = run.keeping_scans(path, &rig)?;
+        }
         Ok(match choice.model {
             Some(_) => run.with_times_by_azimuth(),
             None => run,
