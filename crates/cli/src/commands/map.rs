@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::map_control;
 use super::map_distances::MarkedDistances;
 use super::map_report::{MapPage, coverage, findings};
+use super::map_settings;
 use super::map_surface::check_source;
 use super::map_tools::{self, Tool};
 use super::models::ModelFolder;
@@ -44,7 +45,7 @@ use crate::standing;
 #[derive(clap::Args)]
 #[command(
     verbatim_doc_comment,
-    after_long_help = settings(),
+    after_long_help = map_settings::help_of_map(),
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true
 )]
@@ -113,16 +114,6 @@ struct BuildArguments {
     config: Option<PathBuf>,
 }
 
-/// All settings with their defaults, as `--config` takes them.
-fn settings() -> String {
-    let of_recording = toml::to_string(&MappingConfig::default()).unwrap_or_default();
-    let of_images = toml::to_string(&PosedMapConfig::default()).unwrap_or_default();
-    format!(
-        "Settings of --config and their defaults, for a recording:\n\n{of_recording}\n\
-         Settings of --config and their defaults, with --posed-images:\n\n{of_images}"
-    )
-}
-
 #[derive(Serialize)]
 struct MapSummary<'a, R> {
     map: PathBuf,
@@ -153,7 +144,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return from_posed_images(folder, arguments, context);
     }
     let recording = arguments.recording.as_deref().context("give a recording")?;
-    let mut config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config = map_settings::mapping(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
@@ -371,7 +362,7 @@ fn from_posed_images(
     arguments: &BuildArguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
-    let mut config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config = map_settings::posed_map(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
