@@ -35,7 +35,7 @@ const APART: f64 = 100.0;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (arguments, most) = match arguments.as_slice() {
-        [first @ .., most] if first.len() == 4 => (first, Some(most.parse()?)),
+        [first @ .., most] if first.len() == 4 => (first, Some(most.parse::<usize>()?)),
         all => (all, None),
     };
     let [map, other, wanted, out] = arguments else {

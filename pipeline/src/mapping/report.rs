@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::camera_error::CameraError;
 use super::control::ControlReport;
 use super::inertial::InertialReport;
-use super::residuals::{CameraResiduals, LidarResiduals, RegionResiduals};
+use super::residuals::{LidarResiduals, RegionResiduals};
 use super::scan_offsets::ScanOffsets;
+use crate::hd_map::CameraResiduals;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 use crate::surface::Agreement;
@@ -38,8 +39,8 @@ pub struct MappingReport {
     pub reprojection_rms_before_px: f64,
     /// Median reprojection error with the odometry's poses, pixels.
     pub reprojection_median_before_px: f64,
-    /// Root mean square reprojection error, pixels: of the normal distribution that has the median of every observation of every
-    /// track that has a point, those left out of the map among them.
+    /// Root mean square reprojection error, pixels, of every observation of every track that has a point, those left out of the map among them, with
+    /// the weights that [`PixelResiduals::rms_px`](crate::hd_map::PixelResiduals::rms_px) has.
     pub reprojection_rms_px: f64,
     /// Median reprojection error of the same observations, pixels.
     pub reprojection_median_px: f64,

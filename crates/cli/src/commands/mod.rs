@@ -35,6 +35,7 @@ mod map_depth;
 mod map_distances;
 mod map_folder;
 mod map_keyframes;
+mod map_posed;
 mod map_prune;
 mod map_report;
 mod map_scans;
