@@ -1,17 +1,21 @@
 //! A map of wanted size, to see how fast images are localized in it and how many still are: a map, and beside it copies of another whose
 //! descriptors are others.
 //!
-//! `cargo run --release -p lsfb-pipeline --example large_map -- MAP OTHER DESCRIPTORS OUT`
+//! `cargo run --release -p lsfb-pipeline --example large_map -- MAP OTHER DESCRIPTORS OUT [OBSERVATIONS]`
 //!
 //! `MAP` and `OTHER` were made by `lsfb map`, with the same feature. The points of `OTHER` are put beside `MAP`, again and again, until
 //! there are so many descriptors. In each copy the cells of the descriptors of SIFT (4 × 4, of 8 directions each) change places, in another
 //! order each time: they stay as descriptors are, and look like nothing that is in `MAP`. Then, say,
-//! `lsfb localize --posed-images sevenscenes_redkitchen --every 2 --map OUT`.
+//! `lsfb localize --posed-images sevenscenes_redkitchen --every 2 --map OUT`. How long it takes to open the map is printed.
+//!
+//! With `OBSERVATIONS` no point has more of them, and one descriptor: there are then as many points as descriptors, and ten million need 10 GB of
+//! memory instead of 30.
 
 #![allow(clippy::print_stdout)] // a program, not a library
 
 use std::error::Error;
 use std::path::Path;
+use std::time::Instant;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, UnitQuaternion, Vector3};
 use lsfb_pipeline::features::{DESCRIPTOR_LEN, Descriptor, Features, Keypoint};
@@ -30,7 +34,11 @@ const APART: f64 = 100.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [map, other, wanted, out] = arguments.as_slice() else {
+    let (arguments, most) = match arguments.as_slice() {
+        [first @ .., most] if first.len() == 4 => (first, Some(most.parse::<usize>()?)),
+        all => (all, None),
+    };
+    let [map, other, wanted, out] = arguments else {
         return Err("give a map, another, a number of descriptors and a folder".into());
     };
     let (map, other) = (HdMap::open(Path::new(map))?, HdMap::open(Path::new(other))?);
@@ -43,11 +51,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         keyframes: Vec::new(),
         images: Vec::new(),
         points: Vec::new(),
+        most_observations: most.unwrap_or(usize::MAX),
     };
     let cells: Vec<usize> = (0..DESCRIPTOR_LEN / CELL).collect();
     large.add(&map, "", &Vector3::zeros(), &cells)?;
-    let each = other.descriptor_count().max(1);
-    for copy in 0..wanted.saturating_sub(map.descriptor_count()).div_ceil(each) {
+    let descriptors_of = |map: &HdMap| match most {
+        Some(_) => map.point_count(),
+        None => map.descriptor_count(),
+    };
+    let each = descriptors_of(&other).max(1);
+    for copy in 0..wanted.saturating_sub(descriptors_of(&map)).div_ceil(each) {
         let mut order = cells.clone();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(copy as u64));
         let aside = Vector3::x() * APART * (copy + 1) as f64;
@@ -61,10 +74,17 @@ fn main() -> Result<(), Box<dyn Error>> {
         feature: map.feature(),
         provenance: "made larger by an example",
     };
-    let large = HdMap::build(&content, &HdMapConfig::default(), &no_progress)?;
-    large.write(Path::new(out))?;
+    let mut config = HdMapConfig::default();
+    if most.is_some() {
+        config.max_descriptors_per_point = 1;
+    }
+    HdMap::build(&content, &config, &no_progress)?.write(Path::new(out))?;
+    drop(large);
+    let begin = Instant::now();
+    let large = HdMap::open(Path::new(out))?;
+    let opened_s = begin.elapsed().as_secs_f64();
     let (points, descriptors) = (large.point_count(), large.descriptor_count());
-    println!("{out}: {points} points, {descriptors} descriptors");
+    println!("{out}: {points} points, {descriptors} descriptors, opened in {opened_s:.2} s");
     Ok(())
 }
 
@@ -74,6 +94,7 @@ struct Content {
     keyframes: Vec<StampedPose>,
     images: Vec<KeyframeImage>,
     points: Vec<MapPoint>,
+    most_observations: usize,
 }
 
 impl Content {
@@ -107,8 +128,8 @@ impl Content {
         for point in 0..map.point_count() as u32 {
             let descriptors = map.descriptors(point);
             let mut observations = Vec::new();
-            for (observation, descriptor) in map.observations(point).zip(descriptors.iter().cycle())
-            {
+            let seen = map.observations(point).take(self.most_observations);
+            for (observation, descriptor) in seen.zip(descriptors.iter().cycle()) {
                 let at = observation.keyframe as usize * cameras.len();
                 let image = first_image + at + usize::from(observation.camera);
                 let features = &mut self.images[image].features;

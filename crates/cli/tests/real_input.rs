@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::answer::json;
 use crate::inlier_lines::hold_against_poses;
+use crate::process::lsfb;
 use crate::refusal::refused;
 use lsfb_geometry::{Quaternion, Rig, UnitQuaternion, Vector3};
 use lsfb_perception::image;
@@ -174,8 +175,23 @@ fn an_office_is_recognised_by_every_fifth_image() {
         "5",
         "--out",
         "office-map",
+        "--out-report",
+        "office.html",
     ];
-    assert!(json(folder.path(), &map, 0)["points"].as_u64() > Some(1_000));
+    let built = json(folder.path(), &map, 0);
+    assert!(built["points"].as_u64() > Some(1_000));
+    // Its focal length is another one than the list says.
+    let report = &built["report"];
+    let median_px = |of: &Value| of["reprojection_median_px"].as_f64().expect("pixels");
+    assert!(
+        median_px(report) < 0.8 && median_px(report) < median_px(&report["as_listed"]),
+        "{report}"
+    );
+    let page = std::fs::read_to_string(folder.path().join("office.html")).expect("a page");
+    assert!(page.contains("Residuals by camera") && page.contains("reprojection, rms"));
+    let again = lsfb(folder.path(), &map);
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert!(said.contains("up to date"), "{said}");
     let beside = folder.path().join("office-map.provenance.json");
     let beside = std::fs::read_to_string(beside).expect("where the map comes from");
     let made_from: Value = serde_json::from_str(&beside).expect("JSON");

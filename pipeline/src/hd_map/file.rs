@@ -4,6 +4,7 @@ use std::path::Path;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
 use lsfb_geometry::{Rig, StampedPose};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -234,11 +235,14 @@ impl HdMap {
             true => open_rig(folder, &header, STATED)?.cameras,
             false => BTreeMap::new(),
         };
-        let mut tables = Vec::new();
-        for name in TABLES {
-            tables.push(open_table(folder, &header, name)?);
-        }
-        let [points, keyframes, observations, descriptors] = &tables[..] else {
+        let names: Vec<&str> = TABLES.into_iter().chain(descriptor_index::TABLES).collect();
+        // Every file is hashed, each on a core of its own: of a large map that is what opening takes.
+        let opened: Vec<Result<Table, Error>> = names
+            .par_iter()
+            .map(|name| open_table(folder, &header, name))
+            .collect();
+        let opened: Vec<Table> = opened.into_iter().collect::<Result<_, _>>()?;
+        let [points, keyframes, observations, descriptors, index @ ..] = &opened[..] else {
             return Err(broken(&folder.join(HEADER), "some tables are missing"));
         };
         let [
@@ -252,10 +256,6 @@ impl HdMap {
         let [time_ns, pose @ ..] = keyframes.columns(KEYFRAMES)?;
         let [point, keyframe, camera, u_px, v_px] = observations.columns(OBSERVATIONS)?;
         let [owner, values] = descriptors.columns(*descriptor_names(&feature))?;
-        let mut index = Vec::new();
-        for name in descriptor_index::TABLES {
-            index.push(open_table(folder, &header, name)?);
-        }
         let mut quality_columns = Vec::new();
         for column in quality {
             quality_columns.push(points.f32(column)?);
@@ -301,7 +301,7 @@ impl HdMap {
                 point: descriptors.u32(owner)?,
                 values: descriptors.bytes(values, DESCRIPTOR_LEN)?,
             },
-            index: DescriptorIndex::from_tables(&index)?,
+            index: DescriptorIndex::from_tables(index)?,
             cameras: rig.cameras.keys().cloned().collect(),
             rig,
             stated,

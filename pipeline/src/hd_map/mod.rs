@@ -18,6 +18,7 @@ mod prepared_image;
 mod prune;
 mod reconstruction;
 mod reconstruction_config;
+mod reprojection_errors;
 mod scene_depth;
 mod site;
 mod subset;
@@ -48,7 +49,10 @@ pub use marks::{
 pub(crate) use marks::{FAR_CLICK_SIGMAS, SAME_MOMENT_NS, meet_of_clicks};
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
-pub use posed::{PoseRefinement, PosedMapConfig, build_map_from_posed_images};
+pub use posed::{
+    ListedErrors, PoseRefinement, PosedMap, PosedMapConfig, PosedMapReport,
+    build_map_from_posed_images, build_map_from_posed_images_in_stages,
+};
 pub use prepared_image::KeyframeImage;
 pub use prune::{PruneConfig, PruneReport};
 pub(crate) use reconstruction::{CERTAIN_VIEWS, expect_map};
@@ -56,6 +60,11 @@ pub use reconstruction::{
     MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
 };
 pub use reconstruction_config::ReconstructionConfig;
+pub use reprojection_errors::{CameraResiduals, PixelResiduals};
+pub(crate) use reprojection_errors::{
+    ErrorSummary, KeypointError, PlacedImages, drop_outliers, observation_errors_px,
+    residuals_by_camera, track_errors,
+};
 pub use site::SiteFrame;
 pub use subset::Region;
 

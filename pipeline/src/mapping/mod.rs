@@ -14,7 +14,6 @@ mod placed_points;
 mod pose_covariance;
 mod posed_scans;
 mod report;
-mod reprojection_errors;
 mod residuals;
 mod residuals_by_part;
 mod rig_check;
@@ -55,12 +54,14 @@ use inertial::RecordedImu;
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframes, choose_keyframes, find_cameras};
 pub use posed_scans::{PosedScan, RefinedScans, ScanPoseConfig, ScanPoseReport, refine_scan_poses};
+use report::LONGEST_WITHOUT_LOOP_M;
 pub use report::{MappingReport, MappingWarning, RoundReport};
-pub use residuals::{CameraResiduals, LidarResiduals, PixelResiduals, RegionResiduals};
+pub use residuals::{LidarResiduals, RegionResiduals};
 use residuals_by_part::Regions;
 use rounds::{Optimised, Run, optimise};
 use scan_check::offsets_of_scans;
 pub use scan_offsets::ScanOffsets;
+use scan_pairs::length_without_loop_m;
 use scan_source::ScanSource;
 
 /// Where Eq. (4) has the rig's poses from at first.
@@ -195,6 +196,14 @@ pub fn build_map_in_stages(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
+    let without_loop_m = length_without_loop_m(&before, config);
+    let walk_m = without_loop_m.filter(|m| *m > LONGEST_WITHOUT_LOOP_M && control.is_none());
+    report
+        .warnings
+        .extend(walk_m.map(|walk_m| MappingWarning::NoLoops {
+            walk_m,
+            within_m: config.revisit_distance_m,
+        }));
     let regions = Regions::of(&before);
     let (optimised, mut report) = stages.once("adjusted", || {
         if let Some(lidar) = rig.lidar() {

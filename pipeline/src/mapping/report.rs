@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::camera_error::CameraError;
 use super::control::ControlReport;
 use super::inertial::InertialReport;
-use super::residuals::{CameraResiduals, LidarResiduals, RegionResiduals};
+use super::residuals::{LidarResiduals, RegionResiduals};
 use super::scan_offsets::ScanOffsets;
+use crate::hd_map::CameraResiduals;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 use crate::surface::Agreement;
@@ -225,6 +226,13 @@ pub enum MappingWarning {
         /// How long.
         secs: f64,
     },
+    /// The walk comes back to no place where it was before.
+    NoLoops {
+        /// Length of the walk, metres.
+        walk_m: f64,
+        /// As near as it would have had to come, metres.
+        within_m: f64,
+    },
     /// A trajectory to start from does not reach all scans.
     StartPartial {
         /// Scans that it does not reach.
@@ -266,6 +274,9 @@ pub enum MappingWarning {
 
 /// Good maps of simulated walks have 15 to 25 % of wrong matches in their tracks; more is something else.
 pub(super) const USUAL_OUTLIER_SHARE: f64 = 0.4;
+
+/// A walk this long that comes back nowhere has checked nothing against its beginning, metres: longer than the trial's and the demo's walks that do not.
+pub(super) const LONGEST_WITHOUT_LOOP_M: f64 = 50.0;
 
 /// Share of a camera's images that show hardly a feature before it is said, at the least so many: bare walls make a quarter of them on the way
 /// through an office.
@@ -340,6 +351,14 @@ impl MappingWarning {
             )
             .value(*secs, "s")
             .remedy("check the LiDAR's cable and network (`lsfb doctor`), and scan that part again"),
+            Self::NoLoops { walk_m, within_m } => warn(
+                "no-loops",
+                "trajectory",
+                format!("the walk of {walk_m:.0} m never comes back to within {within_m} m of where it was before: nothing checks how far its end has drifted from its beginning"),
+            )
+            .value(*walk_m, "m")
+            .limit(Limit::AtMost(LONGEST_WITHOUT_LOOP_M))
+            .remedy("walk back to where the scan began, or give surveyed points (--control-points)"),
             Self::StartPartial { missing, scans } => warn(
                 "start-partial",
                 "trajectory",

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::hd_map::PixelResiduals;
+
 /// How far LiDAR features lie from what they correspond to in other keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LidarResiduals {
@@ -13,28 +15,6 @@ pub struct LidarResiduals {
     pub edge_matches: u64,
     /// Root mean square distance from edges, metres.
     pub edge_rms_m: f64,
-}
-
-/// How far keypoints lie from where their points are seen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PixelResiduals {
-    /// Keypoints of tracks that have a point.
-    pub count: u64,
-    /// Root mean square error of the normal distribution that has their median, pixels.
-    pub rms_px: f64,
-    /// Share of them farther off than `max_reprojection_px`.
-    pub outlier_share: f64,
-}
-
-/// Residuals of the images of one camera.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct CameraResiduals {
-    /// The camera.
-    pub camera: String,
-    /// With the poses of the start.
-    pub before: PixelResiduals,
-    /// With those of the map.
-    pub after: PixelResiduals,
 }
 
 /// Residuals of the keyframes of one region: those whose start lies in one cube of 5 m.

@@ -7,11 +7,12 @@ use lsfb_perception::statistics::median;
 
 use super::keyframes::Keyframes;
 use super::report::MappingReport;
-use super::reprojection_errors::{ErrorSummary, KeypointError};
-use super::residuals::{CameraResiduals, PixelResiduals, RegionResiduals};
+use super::residuals::RegionResiduals;
 use super::scan_pairs::Compared;
 use super::weights::lidar_residuals;
-use crate::hd_map::MapPoint;
+use crate::hd_map::{
+    CameraResiduals, KeypointError, MapPoint, PixelResiduals, residuals_by_camera,
+};
 
 /// Edge of a region, metres: a room, or a stretch of a corridor.
 const REGION_M: f64 = 5.0;
@@ -72,19 +73,11 @@ impl Measured<'_> {
 
     /// Puts what is measured into the residuals of each camera, ascending by name.
     fn by_camera(&self, moment: Moment, into: &mut Vec<CameraResiduals>) {
-        let mut errors: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-        for image in &self.keyframes.images {
-            errors.entry(&image.camera).or_default();
-        }
-        for error in &self.errors {
-            let image = self.keyframes.images.get(error.image);
-            let of_camera = image.and_then(|image| errors.get_mut(image.camera.as_str()));
-            of_camera.into_iter().for_each(|all| all.push(error.px));
-        }
-        into.resize_with(errors.len(), CameraResiduals::default);
-        for ((camera, errors), residuals) in errors.into_iter().zip(into) {
-            camera.clone_into(&mut residuals.camera);
-            *moment.of(&mut residuals.before, &mut residuals.after) = self.pixels(&errors);
+        let found = residuals_by_camera(&self.keyframes.images, &self.errors, self.max_px);
+        into.resize_with(found.len(), CameraResiduals::default);
+        for ((camera, found), residuals) in found.into_iter().zip(into) {
+            residuals.camera = camera;
+            *moment.of(&mut residuals.before, &mut residuals.after) = found;
         }
     }
 
@@ -100,17 +93,9 @@ impl Measured<'_> {
         for (number, (residuals, errors)) in into.iter_mut().zip(errors).enumerate() {
             let is_here = |scan: &&Compared| regions.of_keyframe.get(scan.0.n) == Some(&number);
             let lidar = lidar_residuals(&self.keyframes.frames, self.scans.iter().filter(is_here));
-            *moment.of(&mut residuals.before, &mut residuals.after) = self.pixels(&errors);
+            *moment.of(&mut residuals.before, &mut residuals.after) =
+                PixelResiduals::of(&errors, self.max_px);
             *moment.of(&mut residuals.lidar_before, &mut residuals.lidar_after) = lidar;
-        }
-    }
-
-    fn pixels(&self, errors_px: &[f64]) -> PixelResiduals {
-        let errors = ErrorSummary::of(errors_px, self.max_px);
-        PixelResiduals {
-            count: errors_px.len() as u64,
-            rms_px: errors.rms_px,
-            outlier_share: errors.share_beyond,
         }
     }
 }
@@ -189,11 +174,11 @@ mod tests {
     fn a_camera_and_a_region_that_are_worse_are_seen() {
         let keyframes = keyframes(15);
         let regions = Regions::of(&keyframes.poses());
-        // The right camera is off by 2 px, and all by 4 px from 8 m on.
+        // The right camera is off by twice as much, and both by five times as much from 8 m on.
         let errors: Vec<KeypointError> = (0..keyframes.images.len())
             .map(|image| {
-                let of_place = if image / 2 < 8 { 0.0 } else { 4.0 };
-                let px = of_place + [1.0, 2.0][image % 2];
+                let of_place = if image / 2 < 8 { 1.0 } else { 5.0 };
+                let px = of_place * [1.0, 2.0][image % 2];
                 KeypointError { image, px }
             })
             .collect();

@@ -11,9 +11,6 @@ use super::keyframes::Keyframes;
 use super::placed_points::{drop_misplaced, triangulate_round};
 use super::pose_covariance::{mark_covariance, pose_covariances};
 use super::report::USUAL_OUTLIER_SHARE;
-use super::reprojection_errors::{
-    ErrorSummary, drop_outliers, observation_errors_px, track_errors,
-};
 use super::residuals_by_part::{Measured, Moment, Regions, put_coverage};
 use super::rig_check::{Checked, ShownCameras, camera_errors};
 use super::scan_pairs::{Compared, ScanPair, scan_correspondences, scan_pairs};
@@ -24,7 +21,10 @@ use super::{
 };
 use crate::error::Error;
 use crate::features::tracks::Track;
-use crate::hd_map::{MapPoint, SiteFrame, expect_map, find_tracks};
+use crate::hd_map::{
+    ErrorSummary, MapPoint, PlacedImages, SiteFrame, drop_outliers, expect_map, find_tracks,
+    observation_errors_px, track_errors,
+};
 use crate::kept_stages::KeptStages;
 
 /// Rounds from a start that is another program's, at most; from the odometry the settings say how many.
@@ -245,13 +245,19 @@ impl<'a> Alternation<'a> {
         let points = triangulate_round(rig, keyframes, &tracks, rounds.done, config)?;
         let scans = scan_correspondences(&keyframes.frames, &self.pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
-        let errors_px = observation_errors_px(rig, keyframes, &points);
+        let poses = keyframes.poses();
+        let placed = PlacedImages {
+            rig,
+            keyframes: &poses,
+            images: &keyframes.images,
+        };
+        let errors_px = observation_errors_px(&placed, &points);
         let told = &mut rounds.told;
         if told.rounds.is_empty() {
             let max_px = config.max_reprojection_px;
             let measured = Measured {
                 keyframes,
-                errors: track_errors(rig, keyframes, &points, &tracks),
+                errors: track_errors(&placed, &points, &tracks),
                 scans: &scans,
                 max_px,
             };
@@ -489,9 +495,15 @@ impl<'a> Alternation<'a> {
         keyframes: &Keyframes,
     ) {
         let max_px = self.config.max_reprojection_px;
+        let poses = keyframes.poses();
+        let placed = PlacedImages {
+            rig: self.rig,
+            keyframes: &poses,
+            images: &keyframes.images,
+        };
         let measured = Measured {
             keyframes,
-            errors: track_errors(self.rig, keyframes, points, tracks),
+            errors: track_errors(&placed, points, tracks),
             scans,
             max_px,
         };
@@ -500,7 +512,7 @@ impl<'a> Alternation<'a> {
         told.reprojection_rms_px = errors.rms_px;
         told.reprojection_median_px = errors.median_px;
         told.outlier_share = errors.share_beyond;
-        drop_outliers(self.rig, keyframes, points, max_px);
+        drop_outliers(&placed, points, max_px);
         put_coverage(self.run.regions, keyframes, points, &mut told.by_region);
         told.points = points.len() as u64;
         told.observations = observations(points);

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::iter::successors;
 use std::sync::Arc;
 
+use lsfb_geometry::StampedPose;
 use rayon::prelude::*;
 
 use super::MappingConfig;
@@ -42,6 +43,29 @@ pub(super) fn scan_pairs(keyframes: &[Keyframe], config: &MappingConfig) -> Vec<
         pairs.extend(revisits.iter().map(|(_, m)| ScanPair { m: *m, n }));
     }
     pairs.into_iter().collect()
+}
+
+/// Shortest way between two keyframes at one place that tells something of drift, metres: on a shorter one somebody turned round.
+const LEAST_LOOP_M: f64 = 10.0;
+
+/// Length of the way along keyframes, metres, where it comes back to no place within `revisit_distance_m`; `None` where it does.
+pub(super) fn length_without_loop_m(
+    keyframes: &[StampedPose],
+    config: &MappingConfig,
+) -> Option<f64> {
+    let place = |k: &StampedPose| k.world_from_rig.translation;
+    let mut gone_m = vec![0.0; keyframes.len().min(1)];
+    for pair in keyframes.windows(2) {
+        let step_m = (place(&pair[1]) - place(&pair[0])).norm();
+        gone_m.push(gone_m[gone_m.len() - 1] + step_m);
+    }
+    let comes_back = |n: usize| {
+        let earlier = keyframes.iter().zip(&gone_m);
+        let mut left = earlier.take_while(|(_, m)| gone_m[n] - **m >= LEAST_LOOP_M);
+        left.any(|(k, _)| (place(k) - place(&keyframes[n])).norm() < config.revisit_distance_m)
+    };
+    let length_m = gone_m.last().copied()?;
+    (!(0..keyframes.len()).any(comes_back)).then_some(length_m)
 }
 
 /// What the scans of two keyframes share; residuals share it too.
@@ -103,6 +127,28 @@ mod tests {
         }
         assert!(steps.iter().all(|s| *s <= 8), "{steps:?}");
         assert!(pairs.len() <= 8 * count, "{}", pairs.len());
+    }
+
+    /// Turning on the spot is no way back.
+    #[test]
+    fn a_walk_that_comes_back_nowhere_is_told_from_one_that_does() {
+        let config = MappingConfig::default();
+        let along = |xs: &[f64]| -> Option<f64> {
+            let poses = xs.iter().enumerate().map(|(i, x)| StampedPose {
+                time: Timestamp::from_nanos(i as i64),
+                world_from_rig: Se3::new(Default::default(), Vector3::x() * *x),
+            });
+            length_without_loop_m(&poses.collect::<Vec<_>>(), &config)
+        };
+        let out: Vec<f64> = (0..100).map(f64::from).collect();
+        assert_eq!(along(&out), Some(99.0));
+        let back: Vec<f64> = out.iter().chain(out.iter().rev()).copied().collect();
+        assert_eq!(along(&back), None);
+        // Someone stands and turns for a while.
+        let mut turning = out.clone();
+        turning.splice(50..50, [50.0; 40]);
+        assert_eq!(along(&turning), Some(99.0));
+        assert_eq!(along(&[]), None);
     }
 
     #[test]

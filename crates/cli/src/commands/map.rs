@@ -3,22 +3,20 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_pipeline::hd_map::{
-    HdMap, MarkConfig, PosedMapConfig, build_map_from_posed_images, read_clicks,
-    read_control_points,
-};
+use lsfb_pipeline::hd_map::{HdMap, MarkConfig, read_clicks, read_control_points};
 use lsfb_pipeline::mapping::{
     Control, Inputs, MappingConfig, MappingReport, Start, build_map_in_stages,
 };
-use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_pipeline::stored_clouds::StoredClouds;
 use lsfb_recording::{Provenance, read_tum, write_tum};
-use lsfb_types::{Finding, Judgement, Verdict};
+use lsfb_types::Judgement;
 use serde::{Deserialize, Serialize};
 
 use super::map_control;
 use super::map_distances::MarkedDistances;
-use super::map_report::{MapPage, coverage, findings};
+use super::map_posed::PosedMapJob;
+use super::map_report::{MapPage, findings};
+use super::map_settings;
 use super::map_surface::check_source;
 use super::map_tools::{self, Tool};
 use super::models::ModelFolder;
@@ -37,14 +35,14 @@ use crate::standing;
 ///   lsfb map scan.mcap --trajectory scan.tum --stored-clouds clouds.mcap --out map
 ///   lsfb map scan.mcap --marks marks.csv --survey hall.survey --out map --out-report map.html
 ///   lsfb map scan.mcap --marks marks.csv --control-points control_points.csv --out map --out-trajectory scan.tum
-///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
+///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map --out-report map.html
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
 ///   lsfb map --posed-images nerfstudio/scene --out scene-map
 ///   lsfb map info map
 #[derive(clap::Args)]
 #[command(
     verbatim_doc_comment,
-    after_long_help = settings(),
+    after_long_help = map_settings::help_of_map(),
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true
 )]
@@ -97,8 +95,9 @@ struct BuildArguments {
     /// Also write the scanner's trajectory.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     out_trajectory: Option<PathBuf>,
-    /// Also write a page: residuals before and after Eq. 4, coverage, weakly covered stretches.
-    #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
+    /// Also write a page: residuals before and after Eq. 4 (of posed images: reprojection errors, before and
+    /// after cameras and poses were refined), coverage, weakly covered stretches.
+    #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
     /// Features of the map: sift (the default), or a network added with `lsfb models add`; aliked-t16 is
     /// recommended, aliked-n16rot for cameras that roll (docs/features.md).
@@ -111,16 +110,6 @@ struct BuildArguments {
     /// Settings instead of the defaults; `lsfb map --help` lists them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-}
-
-/// All settings with their defaults, as `--config` takes them.
-fn settings() -> String {
-    let of_recording = toml::to_string(&MappingConfig::default()).unwrap_or_default();
-    let of_images = toml::to_string(&PosedMapConfig::default()).unwrap_or_default();
-    format!(
-        "Settings of --config and their defaults, for a recording:\n\n{of_recording}\n\
-         Settings of --config and their defaults, with --posed-images:\n\n{of_images}"
-    )
 }
 
 #[derive(Serialize)]
@@ -153,7 +142,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return from_posed_images(folder, arguments, context);
     }
     let recording = arguments.recording.as_deref().context("give a recording")?;
-    let mut config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config = map_settings::mapping(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
@@ -185,12 +174,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let summary = summary(&arguments.out, &built.map, &judgement, report);
     context.print(&summary, || {
         let text = format!(
-            "{}: {} points, {} observations in {} images, reprojection {:.3} px rms ({:.3} px before Eq. 4)",
+            "{}: {} points, {} observations in {} images, reprojection {:.3} px rms, median {:.3} px ({:.3} px rms before Eq. 4)",
             arguments.out.display(),
             r.points,
             r.observations,
             r.images,
             r.reprojection_rms_px,
+            r.reprojection_median_px,
             r.reprojection_rms_before_px
         );
         let marks = marked.map_or_else(String::new, |m| format!("\n\n{}", m.text()));
@@ -371,81 +361,41 @@ fn from_posed_images(
     arguments: &BuildArguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
-    let mut config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config = map_settings::posed_map(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
         config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
-    super::expect_file(folder, "give a folder of posed images")?;
-    context.claim(&arguments.out, &[])?;
-    let posed =
-        PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0) as usize);
-    let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
-    map.write(&arguments.out)?;
-    provenance_of(folder, &posed, &map, &config)
-        .with_failures(map.failures().to_vec())
-        .write(&arguments.out)?;
-    let mut findings = vec![coverage(&map)];
-    findings.extend(posed.notes.iter().map(|note| {
-        Finding::new("images-left-out", Verdict::Warn, "images", note.clone())
-            .remedy("give the poses of all images")
-    }));
-    findings.extend(cameras(&map));
-    findings.extend(map.failures().iter().map(|what| {
-        Finding::new("poses-contradicted", Verdict::Fail, "poses", what.clone())
-            .remedy("give each image its own pose, in the convention of its layout")
-    }));
-    let judgement = Judgement::new(findings);
-    let summary = summary(&arguments.out, &map, &judgement, ());
+    let job = PosedMapJob {
+        folder,
+        holdout_every: arguments.holdout_every.unwrap_or(0),
+        out: &arguments.out,
+        out_report: arguments.out_report.as_deref(),
+        config: &config,
+    };
+    let built = job.build(context)?;
+    let judgement = Judgement::new(built.findings);
+    let r = &built.report;
+    let summary = summary(&arguments.out, &built.map, &judgement, r);
     context.print(&summary, || {
+        let listed = r.as_listed.map_or_else(String::new, |listed| {
+            format!(
+                " ({:.3} px with cameras and poses of the list)",
+                listed.reprojection_rms_px
+            )
+        });
         let text = format!(
-            "{}: {} points in {} keyframes",
+            "{}: {} points, {} observations in {} images of {} keyframes, reprojection {:.3} px rms, median {:.3} px{listed}",
             arguments.out.display(),
-            map.point_count(),
-            map.keyframe_count()
+            r.points,
+            r.observations,
+            r.images,
+            r.keyframes,
+            r.reprojection_rms_px,
+            r.reprojection_median_px
         );
         text + &sentences(&judgement)
     })?;
     Ok(Outcome::of(judgement.verdict()))
-}
-
-/// Where a map of posed images comes from: the images are one input, with their poses and cameras, of which the map has the hash.
-fn provenance_of(
-    folder: &Path,
-    posed: &PosedImages,
-    map: &HdMap,
-    config: &PosedMapConfig,
-) -> Provenance {
-    let mut provenance = Provenance::new(config);
-    let name = match crate::files::name_of(folder) {
-        none if none.is_empty() => "images".to_owned(),
-        name => name,
-    };
-    let inputs = &mut provenance.inputs;
-    inputs.insert(name, map.provenance().to_owned());
-    provenance.add_rig(&posed.rig);
-    provenance
-}
-
-/// Cameras that the images showed to be other than the list says.
-fn cameras(map: &HdMap) -> Vec<Finding> {
-    let stated = map.stated_cameras().iter();
-    let found = stated.filter_map(|(name, stated)| {
-        let found = map.rig().cameras.get(name)?;
-        let [stated_px, found_px] = [stated, found].map(|c| c.camera.focal_px()[0]);
-        let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
-        let what = format!(
-            "its focal length is {found_px:.1} px according to the images, {stated_px:.1} px \
-             according to the list; rotated by {:.2}°, shifted by {:.3} (in the unit of the poses): \
-             the map uses the values from the images",
-            moved.rotation.angle().to_degrees(),
-            moved.translation.norm()
-        );
-        let finding = Finding::new("camera-differs", Verdict::Warn, name, what)
-            .value(100.0 * (found_px / stated_px - 1.0), "%")
-            .remedy("calibrate it; refine_cameras = false in --config uses the values of the list");
-        Some(finding)
-    });
-    found.collect()
 }
 
 /// What needs a look, a line each.

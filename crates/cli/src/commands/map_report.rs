@@ -2,8 +2,8 @@
 
 use lsfb_eval::report::{Course, Distribution, Figure, Provenance, Report, Table, Track};
 use lsfb_geometry::{StampedPose, Trajectory};
-use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::mapping::{MappingReport, PixelResiduals, RoundReport};
+use lsfb_pipeline::hd_map::{CameraResiduals, HdMap, PixelResiduals};
+use lsfb_pipeline::mapping::{MappingReport, RoundReport};
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::map_control;
@@ -90,35 +90,11 @@ impl MapPage<'_> {
             .chain(marked_figures)
             .collect(),
             courses: courses(report),
-            tables: vec![by_camera(report), by_region(report)],
+            tables: vec![by_camera(&report.by_camera), by_region(report)],
             map_points: self.map.positions().collect(),
-            tracks: vec![
-                track("scanner", coverage.keyframes.clone()),
-                track("weakly covered", coverage.weak.clone()),
-            ]
-            .into_iter()
-            .filter(|track| !track.estimate.is_empty())
-            .collect(),
-            histograms: vec![
-                distribution(
-                    "Reprojection",
-                    "reprojection error",
-                    "px",
-                    self.reprojection_errors_px.iter().map(|e| f64::from(*e)),
-                ),
-                distribution(
-                    "Coverage",
-                    "observations per keyframe",
-                    "",
-                    coverage.observations.iter().map(|n| *n as f64),
-                ),
-                distribution(
-                    "Tracks",
-                    "observations per point",
-                    "",
-                    coverage.track_lengths.iter().map(|n| *n as f64),
-                ),
-            ],
+            tracks: coverage.tracks("scanner"),
+            histograms: coverage
+                .histograms(self.reprojection_errors_px.iter().map(|e| f64::from(*e))),
             findings,
             provenance,
             ..Report::default()
@@ -128,15 +104,17 @@ impl MapPage<'_> {
 }
 
 /// How many observations of map points each keyframe has.
-struct Coverage {
+pub struct Coverage {
     keyframes: Vec<StampedPose>,
     observations: Vec<u64>,
     track_lengths: Vec<u64>,
-    weak: Vec<StampedPose>,
+    /// Keyframes that see too little.
+    pub weak: Vec<StampedPose>,
 }
 
 impl Coverage {
-    fn of(map: &HdMap) -> Self {
+    /// Of a map.
+    pub fn of(map: &HdMap) -> Self {
         let keyframes: Vec<StampedPose> = map.keyframes().collect();
         let mut observations = vec![0; keyframes.len()];
         let mut track_lengths = vec![0; map.point_count()];
@@ -159,7 +137,37 @@ impl Coverage {
         }
     }
 
-    fn finding(&self) -> Finding {
+    /// The keyframes under this name, and those that see too little.
+    pub fn tracks(&self, name: &str) -> Vec<Track> {
+        let tracks = [
+            track(name, self.keyframes.clone()),
+            track("weakly covered", self.weak.clone()),
+        ];
+        let tracks = tracks.into_iter();
+        tracks.filter(|track| !track.estimate.is_empty()).collect()
+    }
+
+    /// Distributions of these reprojection errors, and of the observations.
+    pub fn histograms(&self, errors_px: impl Iterator<Item = f64>) -> Vec<Distribution> {
+        vec![
+            distribution("Reprojection", "reprojection error", "px", errors_px),
+            distribution(
+                "Coverage",
+                "observations per keyframe",
+                "",
+                self.observations.iter().map(|n| *n as f64),
+            ),
+            distribution(
+                "Tracks",
+                "observations per point",
+                "",
+                self.track_lengths.iter().map(|n| *n as f64),
+            ),
+        ]
+    }
+
+    /// Whether enough of the map is seen from everywhere on the way.
+    pub fn finding(&self) -> Finding {
         let (weak, all) = (self.weak.len(), self.keyframes.len());
         let limit = MIN_OBSERVATIONS_PER_KEYFRAME;
         match self.weak.first() {
@@ -212,9 +220,9 @@ fn distribution(
     }
 }
 
-/// Reprojection of each camera before and after Eq. (4).
-fn by_camera(report: &MappingReport) -> Table {
-    let rows = report.by_camera.iter().map(|camera| {
+/// Reprojection of each camera before and after.
+pub fn by_camera(cameras: &[CameraResiduals]) -> Table {
+    let rows = cameras.iter().map(|camera| {
         let mut row = vec![camera.camera.clone(), camera.after.count.to_string()];
         row.extend(pixels(&camera.before));
         row.extend(pixels(&camera.after));

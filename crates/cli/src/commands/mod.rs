@@ -35,9 +35,11 @@ mod map_depth;
 mod map_distances;
 mod map_folder;
 mod map_keyframes;
+mod map_posed;
 mod map_prune;
 mod map_report;
 mod map_scans;
+mod map_settings;
 mod map_surface;
 mod map_tools;
 #[cfg(feature = "view")]
@@ -83,13 +85,22 @@ fn config_or_default<C: DeserializeOwned + Default>(path: Option<&Path>) -> anyh
 
 /// A stage's settings from a TOML file; unknown names are refused by the settings themselves.
 fn read_config<C: DeserializeOwned>(path: &Path) -> anyhow::Result<C> {
+    parse_config(path, &read_config_text(path)?)
+}
+
+/// The text of a file of settings.
+fn read_config_text(path: &Path) -> anyhow::Result<String> {
     expect_file(path, "omit the option to use the defaults")?;
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    toml::from_str(&text).map_err(|e| {
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
+/// Settings from the text of the file at `path`.
+fn parse_config<C: DeserializeOwned>(path: &Path, text: &str) -> anyhow::Result<C> {
+    toml::from_str(text).map_err(|e| {
         anyhow::anyhow!(
             "{}: {}",
             path.display(),
-            lsfb_geometry::toml_problem(&text, &e)
+            lsfb_geometry::toml_problem(text, &e)
         )
     })
 }

@@ -1,5 +1,7 @@
 mod cameras;
+mod kept;
 mod poses;
+mod report;
 mod strangers;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,15 +14,17 @@ use serde::{Deserialize, Serialize};
 use super::reconstruction::{contradiction, depth_of_images, expect_map};
 use super::scene_depth::depth_pairs;
 use super::{
-    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, find_tracks,
+    HdMap, HdMapConfig, KeyframeImage, MapContent, PlacedImages, ReconstructionConfig, find_tracks,
     select_keyframes, triangulate_tracks,
 };
 use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
 use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
+use crate::kept_stages::KeptStages;
 use crate::posed_images::PosedImages;
 use cameras::{Shown, found_cameras};
 pub use poses::PoseRefinement;
-use poses::refined_poses;
+use poses::{RefinedPoses, refined_poses};
+pub use report::{ListedErrors, PosedMapReport};
 use strangers::{Mapped, strangers};
 
 /// Images in memory at once.
@@ -76,6 +80,15 @@ lsfb_types::bounds! {
     }
 }
 
+/// A map of posed images and how it fits them.
+#[derive(Clone, Debug)]
+pub struct PosedMap {
+    /// The map.
+    pub map: HdMap,
+    /// What is to be said of it.
+    pub report: PosedMapReport,
+}
+
 /// Builds a map from images with poses, in the unit of the poses. Images that a rig took at one instant are one keyframe. Keyframe `i`
 /// carries `i` ns as its time: the list has none.
 ///
@@ -89,25 +102,41 @@ pub fn build_map_from_posed_images(
     config: &PosedMapConfig,
     progress: ProgressFn,
 ) -> Result<HdMap, Error> {
+    let stages = KeptStages::none();
+    let built = build_map_from_posed_images_in_stages(posed, config, &stages, progress)?;
+    Ok(built.map)
+}
+
+/// [`build_map_from_posed_images`] that goes on behind the stages that are kept already, and keeps those it finishes: features, tracks, refined
+/// poses. The map is the same bit for bit. Stages of other images must not be among them.
+pub fn build_map_from_posed_images_in_stages(
+    posed: &PosedImages,
+    config: &PosedMapConfig,
+    stages: &KeptStages,
+    progress: ProgressFn,
+) -> Result<PosedMap, Error> {
     config.check_bounds("posed_map")?;
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut detected = DetectedImages {
         posed,
         detector: &detector,
+        stages,
         features: BTreeMap::new(),
     };
     let sample = depth_sample(posed, &config.reconstruction)?;
-    detected.detect(&sample, progress)?;
+    detected.detect("depth", &sample, progress)?;
     let (keyframes, images) = detected.keyframes(&sample);
     let depth = depth_of_images(&posed.rig, &keyframes, &images, &config.reconstruction)?;
     let contradiction = contradiction(&posed.rig, &keyframes, &images, &config.reconstruction)?;
     let distance = config.keyframe_distance_per_depth * depth;
     let chosen = chosen_images(posed, distance, config.keyframe_angle_deg);
-    detected.detect(&chosen, progress)?;
+    detected.detect("images", &chosen, progress)?;
     let (mut keyframes, images) = detected.keyframes(&chosen);
     drop(detected);
     let reconstruction = &config.reconstruction;
-    let tracks = find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)?;
+    let tracks = stages.once("tracks", || {
+        find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)
+    })?;
     let (rig, stated) = match config.refine_cameras {
         true => {
             let shown = Shown {
@@ -124,14 +153,19 @@ pub fn build_map_from_posed_images(
     // Matches lie along other lines where cameras are other than stated.
     let tracks = match stated.is_empty() {
         true => tracks,
-        false => find_tracks(&rig, &keyframes, &images, reconstruction, progress)?,
+        false => stages.once("tracks-found-cameras", || {
+            find_tracks(&rig, &keyframes, &images, reconstruction, progress)
+        })?,
     };
+    let listed = keyframes.clone();
     let mut moved_far = Vec::new();
     let tracks = match config.refine_poses.enabled {
         false => tracks,
         true => {
             let settings = (&config.refine_poses, reconstruction);
-            let refined = refined_poses(&rig, &keyframes, &images, depth, settings, progress)?;
+            let refined = stages.once("poses", || {
+                refined_poses(&rig, &keyframes, &images, depth, settings, progress)
+            })?;
             keyframes = refined.keyframes;
             moved_far = refined.far;
             refined.tracks
@@ -140,6 +174,19 @@ pub fn build_map_from_posed_images(
     let triangulation = &reconstruction.triangulation;
     let points = triangulate_tracks(&rig, &keyframes, &images, &tracks, triangulation)?;
     expect_map(&points, &images)?;
+    let placed = PlacedImages {
+        rig: &rig,
+        keyframes: &keyframes,
+        images: &images,
+    };
+    let listed = PlacedImages {
+        rig: &posed.rig,
+        keyframes: &listed,
+        images: &images,
+    };
+    let has_others = config.refine_poses.enabled || !stated.is_empty();
+    let listed = has_others.then_some(&listed);
+    let report = PosedMapReport::of(&placed, listed, &points, &tracks, triangulation)?;
     let content = MapContent {
         rig: &rig,
         keyframes: &keyframes,
@@ -174,7 +221,10 @@ pub fn build_map_from_posed_images(
         )
     });
     let failures = contradiction.into_iter().chain(strangers).chain(far);
-    Ok(map.with_failures(failures.collect()))
+    Ok(PosedMap {
+        map: map.with_failures(failures.collect()),
+        report,
+    })
 }
 
 /// Number of the instant at which each of some images was taken, from 0 in their order: images of one rig share it.
@@ -239,32 +289,41 @@ fn depth_sample(posed: &PosedImages, config: &ReconstructionConfig) -> Result<Ve
 struct DetectedImages<'a> {
     posed: &'a PosedImages,
     detector: &'a FeatureDetector,
+    stages: &'a KeptStages,
     features: BTreeMap<usize, Features>,
 }
 
 impl DetectedImages<'_> {
-    /// Detects the features of those of `wanted` whose features are not known yet.
-    fn detect(&mut self, wanted: &[usize], progress: ProgressFn) -> Result<(), Error> {
+    /// Detects the features of those of `wanted` whose features are not known yet: a stage of this name.
+    fn detect(&mut self, name: &str, wanted: &[usize], progress: ProgressFn) -> Result<(), Error> {
         let is_new = |i: &&usize| !self.features.contains_key(i);
         let missing: Vec<usize> = wanted.iter().filter(is_new).copied().collect();
-        let mut before = 0;
+        let found = self
+            .stages
+            .once(name, || self.features_of(&missing, progress))?;
+        self.features.extend(missing.into_iter().zip(found));
+        Ok(())
+    }
+
+    /// The features of these images, in their order.
+    fn features_of(&self, missing: &[usize], progress: ProgressFn) -> Result<Vec<Features>, Error> {
+        let mut found: Vec<Features> = Vec::with_capacity(missing.len());
         for batch in missing.chunks(BATCH) {
             let pixels: Vec<Image> = batch
                 .par_iter()
                 .map(|i| self.posed.images[*i].read(&self.posed.rig))
                 .collect::<Result<_, _>>()?;
             let borrowed: Vec<&Image> = pixels.iter().collect();
-            let features = self.detector.detect_all(&borrowed, &|p| {
+            let before = found.len() as u64;
+            found.extend(self.detector.detect_all(&borrowed, &|p| {
                 progress(Progress {
                     done: before + p.done,
                     total: missing.len() as u64,
                     ..p
                 })
-            })?;
-            self.features.extend(batch.iter().copied().zip(features));
-            before += batch.len() as u64;
+            })?);
         }
-        Ok(())
+        Ok(found)
     }
 
     /// These images, whose features are known, and their instants as keyframes.

@@ -188,6 +188,65 @@ fn a_list_with_another_focal_length_gives_a_map_with_the_right_one() {
     assert_eq!(read.as_found("cam0", true_camera), *true_camera);
 }
 
+fn whole(posed: &PosedImages, config: &PosedMapConfig) -> PosedMap {
+    let stages = KeptStages::none();
+    build_map_from_posed_images_in_stages(posed, config, &stages, &no_progress).expect("a map")
+}
+
+/// Observations that the map leaves out stay in what is said of it.
+#[test]
+fn a_report_has_every_observation_of_every_camera() {
+    let folder = tempfile::tempdir().expect("folder");
+    let PosedMap { map, report } = whole(&walk(folder.path(), 1.0), &PosedMapConfig::default());
+    assert_eq!(report.points, map.point_count() as u64);
+    assert_eq!(report.observations, map.observation_count() as u64);
+    let all = report.reprojection_errors_px.len() as u64;
+    assert_eq!(all, report.observations + report.dropped_observations);
+    assert!(report.dropped_observations > 0, "{report:?}");
+    let [camera] = &report.by_camera[..] else {
+        panic!("{:?}", report.by_camera)
+    };
+    assert_eq!((camera.before.count, camera.after.count), (0, all));
+    assert!(report.as_listed.is_none());
+    assert!(
+        report.reprojection_median_px < report.reprojection_rms_px,
+        "{report:?}"
+    );
+    assert!(report.reprojection_median_px < 0.5, "{report:?}");
+}
+
+#[test]
+fn a_map_that_was_stopped_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("folder");
+    let posed = walk(folder.path(), 1.0);
+    let config = PosedMapConfig::default();
+    let kept = folder.path().join("map.unfinished");
+    let stages = KeptStages::in_folder(&kept, "these images").expect("folder");
+    let until = |last: &str, stages: &KeptStages| {
+        build_map_from_posed_images_in_stages(&posed, &config, stages, &|p| match p.stage == last {
+            true => Err(lsfb_types::Stopped),
+            false => Ok(()),
+        })
+    };
+    assert!(matches!(
+        until("image matching", &stages),
+        Err(Error::Stopped(_))
+    ));
+    // Features are there already.
+    let resumed = until("image features", &stages).expect("a map");
+    let at_once = whole(&posed, &config);
+    assert_eq!(resumed.report, at_once.report);
+    let bytes = |map: &HdMap, name: &str| {
+        let out = folder.path().join(name);
+        map.write(&out).expect("written");
+        fs::read(out.join(HdMap::HEADER)).expect("hashes of all files")
+    };
+    assert_eq!(
+        bytes(&resumed.map, "resumed"),
+        bytes(&at_once.map, "at-once")
+    );
+}
+
 /// How far places are apart after the best rigid motion, root mean square and at most, metres.
 fn apart_m(found: &[Vector3<f64>], truth: &[Vector3<f64>]) -> [f64; 2] {
     let aligned = umeyama(found, truth, Scale::Fixed).expect("places");
@@ -228,7 +287,8 @@ fn poses_that_are_a_little_off_become_as_the_images_show_them() {
     };
     let truth = places(&right);
     let [before_m, _] = apart_m(&places(&off), &truth);
-    let map = build_map_from_posed_images(&off, &config(true), &no_progress).expect("a map");
+    let built = whole(&off, &config(true));
+    let (map, report) = (built.map, built.report);
     let found = map.keyframes().map(|k| k.world_from_rig.translation);
     let found: Vec<Vector3<f64>> = found.collect();
     let [after_m, _] = apart_m(&found, &truth);
@@ -237,6 +297,14 @@ fn poses_that_are_a_little_off_become_as_the_images_show_them() {
         "{before_m} → {after_m} m"
     );
     assert!(map.failures().is_empty(), "{:?}", map.failures());
+    // Of the same tracks, with the poses of the list and with those that were found.
+    let listed = report.as_listed.expect("poses were refined");
+    assert!(
+        report.reprojection_median_px < 0.5 * listed.reprojection_median_px,
+        "{report:?}"
+    );
+    let camera = &report.by_camera[0];
+    assert!(camera.after.rms_px < camera.before.rms_px, "{report:?}");
     // As listed, few matches lie where they should.
     let listed = build_map_from_posed_images(&off, &config(false), &no_progress);
     let points = listed.map_or(0, |map| map.point_count());

@@ -11,10 +11,11 @@ mod unfinished;
 use std::path::PathBuf;
 
 use lsfb_pipeline::kept_stages::KeptStages;
-use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
+use lsfb_pipeline::localization::Localizer;
 use lsfb_types::median;
 use serde::Serialize;
 
+use super::map_settings;
 use super::models::ModelFolder;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -48,7 +49,7 @@ use unfinished::Unfinished;
 ///   lsfb localize map walk.mcap --out walk.csv --out-matches walk_matches.csv
 ///   lsfb localize --posed-images hololens_office --every 5 --map office-map
 #[derive(clap::Args)]
-#[command(verbatim_doc_comment, after_long_help = settings())]
+#[command(verbatim_doc_comment, after_long_help = map_settings::help_of_localize())]
 pub struct Arguments {
     /// HD map (folder), unless given by --map; then a walk (MCAP) or a folder of images without poses.
     #[arg(value_name = "PATH", num_args = 0..=2)]
@@ -91,12 +92,6 @@ pub struct Arguments {
     /// Drawing of the matches (SVG).
     #[arg(long, value_name = "SVG", requires = "explain")]
     out_drawing: Option<PathBuf>,
-}
-
-/// All settings with their defaults, as `--config` takes them.
-fn settings() -> String {
-    let settings = toml::to_string(&LocalizerConfig::default()).unwrap_or_default();
-    format!("Settings of --config and their defaults:\n\n{settings}")
 }
 
 /// A pose counts as right within these, as in the benchmarks of the field.
@@ -148,7 +143,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for result in results.into_iter().flatten() {
         context.claim(result, &[&input])?;
     }
-    let config: LocalizerConfig = super::config_or_default(arguments.config.as_deref())?;
+    let config = map_settings::localization(arguments.config.as_deref())?;
     let localizer = Localizer::new(&super::open_map(&map)?, &config)?;
     let input = Input::open(&input, arguments, context)?;
     if let (Some(frame), Some(count)) = (arguments.explain, input.count()) {

@@ -1,26 +1,51 @@
 //! How far from its keypoints each map point is seen.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
-use lsfb_geometry::{Rig, Vector3};
+use lsfb_geometry::{Rig, StampedPose, Vector3};
 use lsfb_perception::statistics::median;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use super::keyframes::Keyframes;
+use super::{KeyframeImage, MapPoint, PointObservation};
 use crate::features::tracks::{Track, TrackedKeypoint};
-use crate::hd_map::{MapPoint, PointObservation};
+
+/// How far keypoints lie from where their points are seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PixelResiduals {
+    /// Keypoints of tracks that have a point.
+    pub count: u64,
+    /// Root mean square error, pixels: of the normal distribution that has the median of all of them, none left out.
+    pub rms_px: f64,
+    /// Share of them farther off than `max_reprojection_px`.
+    pub outlier_share: f64,
+}
+
+/// Residuals of the images of one camera.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraResiduals {
+    /// The camera.
+    pub camera: String,
+    /// With the poses of the start.
+    pub before: PixelResiduals,
+    /// With those of the map.
+    pub after: PixelResiduals,
+}
+
+/// Images of keyframes, and where their cameras are.
+#[derive(Clone, Copy)]
+pub(crate) struct PlacedImages<'a> {
+    pub rig: &'a Rig,
+    pub keyframes: &'a [StampedPose],
+    pub images: &'a [KeyframeImage],
+}
 
 /// Leaves out observations farther than `max_px` from where their point is seen, and points with fewer than two left;
 /// brings the points' own errors up to date.
-pub(super) fn drop_outliers(
-    rig: &Rig,
-    keyframes: &Keyframes,
-    points: &mut Vec<MapPoint>,
-    max_px: f64,
-) {
+pub(crate) fn drop_outliers(placed: &PlacedImages, points: &mut Vec<MapPoint>, max_px: f64) {
     for point in points.iter_mut() {
         let position = point.point_in_world;
-        let error = |o: &PointObservation| reprojection_px(rig, keyframes, o, &position);
+        let error = |o: &PointObservation| reprojection_px(placed, o, &position);
         point.observations.retain(|o| error(o) <= max_px);
         let squares: f64 = point.observations.iter().map(|o| error(o).powi(2)).sum();
         point.reprojection_rms_px = (squares / point.observations.len().max(1) as f64).sqrt();
@@ -30,7 +55,7 @@ pub(super) fn drop_outliers(
 
 /// How far off one keypoint is.
 #[derive(Clone, Copy)]
-pub(super) struct KeypointError {
+pub(crate) struct KeypointError {
     /// Index of its image.
     pub image: usize,
     pub px: f64,
@@ -38,9 +63,8 @@ pub(super) struct KeypointError {
 
 /// Reprojection errors of every keypoint of every track that has a point, in order of the points: of those that the
 /// triangulation left out, too. The image's diagonal stands for a point behind the camera.
-pub(super) fn track_errors(
-    rig: &Rig,
-    keyframes: &Keyframes,
+pub(crate) fn track_errors(
+    placed: &PlacedImages,
     points: &[MapPoint],
     tracks: &[Track],
 ) -> Vec<KeypointError> {
@@ -62,34 +86,30 @@ pub(super) fn track_errors(
                 image: k.image as usize,
                 keypoint: k.keypoint,
             };
-            let error_px = reprojection_px(rig, keyframes, &seen, &point.point_in_world);
+            let error_px = reprojection_px(placed, &seen, &point.point_in_world);
             KeypointError {
                 image: seen.image,
-                px: error_px.min(diagonal_px(rig, keyframes, seen.image)),
+                px: error_px.min(diagonal_px(placed, seen.image)),
             }
         })
     });
     errors.collect()
 }
 
-fn diagonal_px(rig: &Rig, keyframes: &Keyframes, image: usize) -> f64 {
-    let name = keyframes.images.get(image).map(|i| &i.camera);
-    let mounted = name.and_then(|name| rig.cameras.get(name));
+fn diagonal_px(placed: &PlacedImages, image: usize) -> f64 {
+    let name = placed.images.get(image).map(|i| &i.camera);
+    let mounted = name.and_then(|name| placed.rig.cameras.get(name));
     mounted.map_or(0.0, |m| {
         f64::from(m.camera.width).hypot(f64::from(m.camera.height))
     })
 }
 
 /// Reprojection errors of the observations that take part in Eq. (4), pixels.
-pub(super) fn observation_errors_px(
-    rig: &Rig,
-    keyframes: &Keyframes,
-    points: &[MapPoint],
-) -> Vec<f64> {
+pub(crate) fn observation_errors_px(placed: &PlacedImages, points: &[MapPoint]) -> Vec<f64> {
     points
         .iter()
         .flat_map(|p| p.observations.iter().map(move |o| (p, o)))
-        .map(|(p, o)| reprojection_px(rig, keyframes, o, &p.point_in_world))
+        .map(|(p, o)| reprojection_px(placed, o, &p.point_in_world))
         .collect()
 }
 
@@ -97,7 +117,7 @@ pub(super) fn observation_errors_px(
 const RMS_PER_MEDIAN: f64 = 1.201_122_408_786_449_8;
 
 /// How reprojection errors spread.
-pub(super) struct ErrorSummary {
+pub(crate) struct ErrorSummary {
     /// Root mean square of the normal distribution that has their median.
     pub rms_px: f64,
     pub median_px: f64,
@@ -119,21 +139,53 @@ impl ErrorSummary {
     }
 }
 
+impl PixelResiduals {
+    /// Of all errors of one part of the images.
+    pub(crate) fn of(errors_px: &[f64], max_px: f64) -> Self {
+        let errors = ErrorSummary::of(errors_px, max_px);
+        Self {
+            count: errors_px.len() as u64,
+            rms_px: errors.rms_px,
+            outlier_share: errors.share_beyond,
+        }
+    }
+}
+
+/// What is left of the errors of each camera that has images, by its name.
+pub(crate) fn residuals_by_camera(
+    images: &[KeyframeImage],
+    errors: &[KeypointError],
+    max_px: f64,
+) -> BTreeMap<String, PixelResiduals> {
+    let mut of_cameras: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for image in images {
+        of_cameras.entry(&image.camera).or_default();
+    }
+    for error in errors {
+        let image = images.get(error.image);
+        let of_camera = image.and_then(|image| of_cameras.get_mut(image.camera.as_str()));
+        of_camera.into_iter().for_each(|all| all.push(error.px));
+    }
+    let residuals = of_cameras.into_iter();
+    residuals
+        .map(|(camera, errors)| (camera.to_owned(), PixelResiduals::of(&errors, max_px)))
+        .collect()
+}
+
 /// Distance of where a point should be seen from where it is; infinite where it cannot be.
 fn reprojection_px(
-    rig: &Rig,
-    keyframes: &Keyframes,
+    placed: &PlacedImages,
     observation: &PointObservation,
     point_in_world: &Vector3<f64>,
 ) -> f64 {
     let error = || {
-        let image = keyframes.images.get(observation.image)?;
+        let image = placed.images.get(observation.image)?;
         let keypoint = image
             .features
             .keypoints
             .get(observation.keypoint as usize)?;
-        let mounted = rig.cameras.get(&image.camera)?;
-        let world_from_rig = keyframes.frames.get(image.keyframe)?.world_from_rig;
+        let mounted = placed.rig.cameras.get(&image.camera)?;
+        let world_from_rig = placed.keyframes.get(image.keyframe)?.world_from_rig;
         let camera_from_world = (world_from_rig * mounted.rig_from_camera).inverse();
         let pixel = mounted
             .camera
