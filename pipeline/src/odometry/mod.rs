@@ -139,8 +139,6 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// Where the map was last rid of what is far.
     rid_at: Option<Vector3<f64>>,
-    /// Without an IMU, where the scan before was found after a gap. How it moved while it was taken the next one tells, which is to confirm it.
-    sighted: Option<StampedPose>,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
     /// What the walk may have to begin again from, until a scan has found its place.
@@ -217,7 +215,6 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             rid_at: None,
-            sighted: None,
             searched_in_vain: None,
             start_scan: None,
             first_second: None,
@@ -285,43 +282,19 @@ impl Odometry {
         let find = self.search(&reduced, &path);
         let mut found = match &find {
             Some(find) => find.registration,
-            None if self.is_adrift(end) => nowhere(&path),
             None => self.register(&reduced, &path),
         };
-        let is_blind = matches!(self.motion, Motion::Constant { .. });
-        let predicted_path = is_blind.then(|| path.clone());
-        let is_sought = is_blind && find.is_some();
-        if is_blind
-            && end > scan.time
-            && self.last.is_some()
-            && found.inlier_ratio > 0.0
-            && !is_sought
+        if let (Motion::Constant { .. }, true, Some(_)) = (&self.motion, end > scan.time, self.last)
         {
             // Without an IMU a first pass finds the motion by which the second deskews.
-            path = constant_path(self.goes_on_from(), scan.time, end, &found.world_from_rig);
+            path = constant_path(self.last, scan.time, end, &found.world_from_rig);
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let mut outcome = self.judge(&reduced, &found);
-        let sighted = self.sighted.take();
-        if sighted.is_some() && !self.confirms(&reduced, &found) {
-            outcome = StepOutcome::Lost;
-        }
-        if is_sought {
-            let sight = StampedPose {
-                time: end,
-                world_from_rig: found.world_from_rig,
-            };
-            self.sighted = (outcome == StepOutcome::Registered).then_some(sight);
-            outcome = StepOutcome::Lost;
-        }
-        if let (StepOutcome::Lost, Some(predicted)) = (outcome, predicted_path) {
-            // What a scan without a place says of the motion is nothing to go on from.
-            path = predicted;
-        }
+        let outcome = self.judge(&reduced, &found);
         let by_scan_alone = match &find {
-            Some(find) if !is_blind => find.registration.world_from_rig,
-            _ => without(&self.prior(&path), &found),
+            Some(find) => find.registration.world_from_rig,
+            None => without(&self.prior(&path), &found),
         };
         let predicted = self.predicted_covariance();
         let mut seen = ScanInformation::default();
@@ -343,7 +316,6 @@ impl Odometry {
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
-        let before = sighted.or(self.goes_on_from());
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
             self.corrections_m.clear();
@@ -352,7 +324,7 @@ impl Odometry {
             self.last_registered = path.last().copied();
             self.searched_in_vain = None;
         }
-        self.finish(&path, outcome, before);
+        self.finish(&path);
         Ok(OdometryStep {
             time: end,
             world_from_rig: end_pose(&path),
@@ -387,21 +359,15 @@ impl Odometry {
         }
     }
 
-    /// Where an even motion goes on from: scans that found no place since say nothing of it.
-    fn goes_on_from(&self) -> Option<StampedPose> {
-        self.sighted.or(self.last_registered).or(self.last)
-    }
-
-    /// Poses from the end of the last scan (without an IMU of the last that found its place; or the start of the first) to `end`.
+    /// Poses from the end of the last scan (or the start of the first) to `end`.
     fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
-        let (begin, is_adrift) = (self.goes_on_from(), self.is_adrift(end));
         match &mut self.motion {
             Motion::Inertial(inertial) => inertial.predict(start, end),
             Motion::Constant {
                 twist_per_s,
                 covariance,
             } => {
-                let (Some(last), Some(begin)) = (self.last, begin) else {
+                let Some(last) = self.last else {
                     // The end of the first scan is the world's origin.
                     let back = -*twist_per_s * end.secs_since(start);
                     let begin = StampedPose {
@@ -410,14 +376,10 @@ impl Odometry {
                     };
                     return Ok(constant_path(Some(begin), start, end, &Se3::identity()));
                 };
-                let moved = match is_adrift || self.sighted.is_some() {
-                    true => Vector6::zeros(),
-                    false => *twist_per_s * end.secs_since(begin.time),
-                };
-                let predicted = begin.world_from_rig.retract(&moved);
                 let secs = end.secs_since(last.time);
+                let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
                 covariance.predict(&last.world_from_rig, &predicted, secs);
-                Ok(constant_path(Some(begin), start, end, &predicted))
+                Ok(constant_path(self.last, start, end, &predicted))
             }
         }
     }
@@ -548,11 +510,9 @@ impl Odometry {
             return;
         };
         // After a search the filter goes on from its own pose, which is not quite the scan's.
-        let behind = match (self.last, &self.motion) {
-            (Some(before), Motion::Inertial(_)) => {
-                first.world_from_rig.local(&before.world_from_rig)
-            }
-            _ => Vector6::zeros(),
+        let behind = match self.last {
+            Some(before) => first.world_from_rig.local(&before.world_from_rig),
+            None => Vector6::zeros(),
         };
         let behind = if behind.norm() > LEAST_BEHIND {
             behind
@@ -591,8 +551,7 @@ impl Odometry {
         }
     }
 
-    /// `before`: where an even motion went on from.
-    fn finish(&mut self, path: &[StampedPose], outcome: StepOutcome, before: Option<StampedPose>) {
+    fn finish(&mut self, path: &[StampedPose]) {
         let Some(end) = path.last().copied() else {
             return;
         };
@@ -603,9 +562,9 @@ impl Odometry {
                 inertial.samples.drain(..used.saturating_sub(1));
             }
             Motion::Constant { twist_per_s, .. } => {
-                if let (Some(before), true) = (before, outcome != StepOutcome::Lost) {
-                    let moved = before.world_from_rig.local(&end.world_from_rig);
-                    *twist_per_s = moved / end.time.secs_since(before.time);
+                if let Some(last) = self.last {
+                    let moved = last.world_from_rig.local(&end.world_from_rig);
+                    *twist_per_s = moved / end.time.secs_since(last.time);
                 }
             }
         }
@@ -614,18 +573,6 @@ impl Odometry {
             self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |i| i.min(interval_ns)));
         }
         self.last = Some(end);
-    }
-}
-
-/// Of a scan that is not sought: it agrees with nothing.
-fn nowhere(path: &[StampedPose]) -> Registration {
-    Registration {
-        world_from_rig: end_pose(path),
-        information: Matrix6::zeros(),
-        plane_information: Matrix6::zeros(),
-        inlier_ratio: 0.0,
-        plane_rms_m: 0.0,
-        iterations: 0,
     }
 }
 

@@ -3,7 +3,6 @@
 //! Scans that are seconds apart are bridged by the IMU to half a metre or two, from where a registration may end on the wrong surface. There
 //! the whole region is searched, from many starts, and a place is taken only where most of the scan lies on the map and nowhere else in reach
 //! nearly as well, and where its rays pass through nothing that earlier scans saw. After a gap that the IMU does not bridge the region around the last place is searched.
-//! So it is without an IMU once half a second has passed without a place: what moved evenly until then may be anywhere near.
 //!
 //! Over seconds the filter lives on tilt: a degree that the prediction was wrong by is 0.4 m/s after five seconds. A scan whose points carry no
 //! times is turned against its stamp by what the carrier turned while it was taken, and a carrier that sways turns by a degree: so
@@ -45,20 +44,6 @@ const LARGEST_UP_M: f64 = 0.35;
 const SHARES: [f64; 3] = [1.0, 0.75, 0.5];
 /// After a search in vain the next may begin so much later, seconds: scans that come ten times a second must not wait for one each.
 const PAUSE_S: f64 = 3.0;
-/// The same without an IMU, where nothing else finds a scan again.
-const BLIND_PAUSE_S: f64 = 1.0;
-/// Without an IMU the motion before tells where a carrier is until no scan has found its place for so many of the usual times from scan to scan.
-const ADRIFT_INTERVALS: f64 = 3.0;
-/// What it may have done since, one standard deviation each: its speed (in m/s, or so many times that of before), its turns about the vertical and its tilt, and
-/// how far up or down it is, metres.
-const BLIND_SPEED_M_S: f64 = 0.5;
-const BLIND_SPEEDS: f64 = 0.4;
-const BLIND_TURN_RAD_S: f64 = 0.4;
-const LARGEST_TURN_RAD: f64 = 1.0;
-const BLIND_TILT_RAD: f64 = 0.05;
-const BLIND_UP_M: f64 = 0.15;
-/// Shares of that, where it is too large to be searched.
-const BLIND_SHARES: [f64; 6] = [1.0, 0.8, 0.65, 0.5, 0.35, 0.25];
 /// A scan without times may have been taken so long before its stamp, seconds: sensors that spin do so ten times a second.
 const SWEEP_S: f64 = 0.1;
 
@@ -127,15 +112,11 @@ impl Odometry {
     /// Searches for a scan. `None` where the prediction is good enough to register from, or where there is none to search about.
     pub(super) fn search(&mut self, reduced: &ReducedScan, path: &[StampedPose]) -> Option<Find> {
         let now = path.last()?.time;
-        let pause_s = match self.motion {
-            Motion::Inertial(_) => PAUSE_S,
-            Motion::Constant { .. } => BLIND_PAUSE_S,
-        };
-        let is_soon = |last: Timestamp| now.secs_since(last) < pause_s;
+        let is_soon = |last: Timestamp| now.secs_since(last) < PAUSE_S;
         let last = self.last_registered?;
         if now.secs_since(last.time) < RARE_S
             || self.searched_in_vain.is_some_and(is_soon)
-            || !self.is_known_to_a_region_alone(&self.prior(path), now)
+            || !self.is_known_to_a_region_alone(&self.prior(path))
         {
             return None;
         }
@@ -148,19 +129,13 @@ impl Odometry {
             inertial.filter.as_mut()?.widen(inflation);
         }
         self.searched_in_vain = Some(now);
-        let prior = match self.drift(now, 1.0) {
-            Some(covariance) => PosePrior {
-                world_from_rig: last.world_from_rig,
-                information: covariance.cholesky()?.inverse(),
-            },
-            None => self.prior(path),
-        };
+        let prior = self.prior(path);
         let query = Query {
             points_in_rig: &reduced.keypoints,
             sensor_in_rig: self.lidar.rig_from_lidar.translation,
         };
         let config = self.registration(SURE_REACH_M.min(self.config.initial_gate_m));
-        let mut regions = self.regions(&prior, now)?.into_iter();
+        let mut regions = self.regions(&prior)?.into_iter();
         let search = |region: Region| place_search::search(&query, &region, &self.map, &config);
         let mut places = regions.find_map(search)?;
         let mut registration = *places.best()?;
@@ -192,56 +167,10 @@ impl Odometry {
     }
 
     /// Whether a registration from the predicted pose may end on the wrong surface.
-    fn is_known_to_a_region_alone(&self, prior: &PosePrior, now: Timestamp) -> bool {
-        let is_wide = match self.motion {
-            Motion::Inertial(_) => {
-                sigma_m(prior).is_some_and(|sigma_m| 3.0 * sigma_m >= SURE_REACH_M)
-            }
-            Motion::Constant { .. } => self.is_adrift(now),
-        };
-        is_wide && !self.map.is_empty()
-    }
-
-    /// Whether there is no IMU, and no scan has found its place for so long that the motion before says nothing of where it is by now.
-    pub(super) fn is_adrift(&self, now: Timestamp) -> bool {
-        let (Motion::Constant { .. }, Some(last), Some(interval_ns)) =
-            (&self.motion, self.last_registered, self.interval_ns)
-        else {
-            return false;
-        };
-        // What was sighted is soon told more of.
-        let last = self.sighted.unwrap_or(last);
-        let passed_s = now.secs_since(last.time);
-        passed_s > RARE_S && passed_s > ADRIFT_INTERVALS * interval_ns as f64 * 1e-9
-    }
-
-    /// Whether a registration by the motion since a scan was found after a gap is as good as that.
-    pub(super) fn confirms(&self, reduced: &ReducedScan, found: &Registration) -> bool {
-        found.inlier_ratio >= MIN_OVERLAP && !self.is_contradicted(reduced, &found.world_from_rig)
-    }
-
-    /// How far what is adrift may have come from where it was, or such a share of it: covariance of `[rotation, translation]` in the tangent of the pose there.
-    fn drift(&self, now: Timestamp, share: f64) -> Option<Matrix6<f64>> {
-        let (Motion::Constant { twist_per_s, .. }, true) = (&self.motion, self.is_adrift(now))
-        else {
-            return None;
-        };
-        let last = self.last_registered?;
-        let passed_s = now.secs_since(last.time);
-        let speed_m_s = BLIND_SPEED_M_S.max(BLIND_SPEEDS * twist_per_s.fixed_rows::<3>(3).norm());
-        let along_m = share * (speed_m_s * passed_s).min(LARGEST_ALONG_M);
-        let turn_rad = share * (BLIND_TURN_RAD_S * passed_s).min(LARGEST_TURN_RAD);
-        let up = last.world_from_rig.rotation.inverse() * Vector3::z();
-        let vertical = up * up.transpose();
-        let level = Matrix3::identity() - vertical;
-        let block = |across: f64, about: f64| level * across.powi(2) + vertical * about.powi(2);
-        let mut covariance = Matrix6::zeros();
-        let mut set = |at: usize, block: &Matrix3<f64>| {
-            covariance.fixed_view_mut::<3, 3>(at, at).copy_from(block);
-        };
-        set(0, &block(BLIND_TILT_RAD, turn_rad));
-        set(3, &block(along_m, BLIND_UP_M));
-        Some(covariance)
+    fn is_known_to_a_region_alone(&self, prior: &PosePrior) -> bool {
+        matches!(self.motion, Motion::Inertial(_))
+            && !self.map.is_empty()
+            && sigma_m(prior).is_some_and(|sigma_m| 3.0 * sigma_m >= SURE_REACH_M)
     }
 
     /// Whether too much speaks against a scan at a place: rays through what was seen, or points where nothing was.
@@ -261,19 +190,7 @@ impl Odometry {
     }
 
     /// Where to search: the first of these that is not too large.
-    fn regions(&self, prior: &PosePrior, now: Timestamp) -> Option<Vec<Region>> {
-        if self.is_adrift(now) {
-            let up_in_rig = prior.world_from_rig.rotation.inverse() * Vector3::z();
-            let around = |covariance| Region {
-                map_from_rig: prior.world_from_rig,
-                covariance,
-                up_in_rig,
-            };
-            let shares = BLIND_SHARES.iter();
-            return shares
-                .map(|share| Some(around(self.drift(now, *share)?)))
-                .collect();
-        }
+    fn regions(&self, prior: &PosePrior) -> Option<Vec<Region>> {
         let covariance = prior.information.cholesky()?.inverse();
         let down_in_world = self.inertial_state()?.gravity_m_s2;
         let up = -(prior.world_from_rig.rotation.inverse() * down_in_world).normalize();

@@ -71,40 +71,6 @@ fn a_second_without_scans_is_bridged_or_named() {
     }
 }
 
-/// It went on for ever with the velocity of before, and took the first place that a fifth of a scan agreed with.
-#[test]
-fn without_an_imu_seconds_without_scans_or_places_are_lost_or_found_but_never_elsewhere() {
-    for gap in [40..60, 50..80] {
-        let has_scan = |i: u64| i >= 20 && !gap.contains(&i);
-        let found = walk_for(9.0, &room::lidar(), false, has_scan, |_| true);
-        for (i, (outcome, off_m)) in found.iter().enumerate() {
-            assert!(
-                *outcome == StepOutcome::Lost || *off_m < 0.1,
-                "{gap:?}, {i}: {outcome:?} {off_m} m"
-            );
-        }
-    }
-    // Scans that see a carrier alone: where it is said to be is where it was, and not ahead of that.
-    let (config, room) = (OdometryConfig::default(), Room::furnished());
-    let mut odometry = Odometry::new(&config, &room::lidar(), None).expect("config");
-    let mut last_m = None;
-    for i in 40..75_u64 {
-        let mut scan = room::scan(&room, 0.1 * i as f64, i);
-        if i >= 50 {
-            let points = scan.sample.points.iter_mut();
-            points.for_each(|p| p.position_m = p.position_m.map(|c| 0.01 * c));
-        }
-        let step = odometry.push_scan(&scan).expect("scan");
-        let place_m = step.world_from_rig.translation;
-        if step.outcome == StepOutcome::Lost {
-            let last_m: Vector3<f64> = last_m.expect("a place before");
-            assert!((place_m - last_m).norm() < 0.6, "{i}: {place_m} {last_m}");
-        } else {
-            last_m = Some(place_m);
-        }
-    }
-}
-
 #[test]
 fn gaps_of_45_ms_between_samples_cost_nothing() {
     // Nine samples of 200 Hz, four times a second.
