@@ -25,7 +25,7 @@ pub struct LearnedFeature {
 
 impl LearnedFeature {
     /// By the hash under which its weights are known now: maps were made under that of folded ones.
-    pub(crate) fn as_known(self) -> Self {
+    pub(crate) fn into_known(self) -> Self {
         let known = Model::named(&self.model).map(|model| model.known_by(&self.weights_sha256));
         let weights_sha256 = known.unwrap_or(&self.weights_sha256).to_owned();
         Self {

@@ -228,7 +228,7 @@ impl HdMap {
     pub fn open(folder: &Path) -> Result<Self, Error> {
         let header = read_header(folder)?;
         let feature = header.learned.clone().map_or(Feature::Sift, |learned| {
-            Feature::Learned(learned.as_known())
+            Feature::Learned(learned.into_known())
         });
         let rig = open_rig(folder, &header, RIG)?;
         let stated = match header.files.iter().any(|f| f.name == STATED) {
