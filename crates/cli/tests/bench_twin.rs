@@ -7,7 +7,7 @@ use crate::process::lsfb;
 fn a_run_of_the_trial_is_judged_and_stands() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    let arguments = "bench twin --out trial --try-out --true-rigs --place wide-corridor --device glasses --seed 1";
+    let arguments = "bench twin --out trial --try-out --true-rigs --place wide-corridor --device glasses --seed 2";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let trial = json(root, &arguments, 0);
     let run = &trial["runs"][0];
@@ -33,7 +33,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
         assert!(root.join("trial").join(name).exists(), "{name}");
     }
     assert!(
-        !root.join("trial/wide-corridor-1/scan.mcap").exists(),
+        !root.join("trial/wide-corridor-2/scan.mcap").exists(),
         "recordings are large"
     );
     assert_eq!(json(root, &arguments, 0)["runs"], trial["runs"], "stands");

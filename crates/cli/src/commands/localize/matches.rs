@@ -88,8 +88,9 @@ pub fn write_csv(
                 let posed = PosedCamera::new(localizer, rig, camera, &pose.world_from_rig());
                 let camera_name = field(camera);
                 for m in inliers.of_camera(camera) {
-                    let [u, v] = m.pixel;
-                    let seen = Vector2::new(f64::from(u), f64::from(v));
+                    // All of their digits: what is computed again from the table is the same.
+                    let [u, v] = m.pixel.map(f64::from);
+                    let seen = Vector2::new(u, v);
                     let Some(point) = localizer.map().position(m.point) else {
                         continue;
                     };
