@@ -147,7 +147,7 @@ fn walks_lie_off_the_scanners_path_and_keep_clear_of_everything() {
     let mut wrong = Vec::new();
     for place in Place::ENVIRONMENTS {
         let world = Place::build(&coarse(place), &no_progress).expect("built");
-        let whole = [1_u64, 2].map(|seed| (seed, [0.0, 0.0]));
+        let whole = [(1_u64, [0.0, 0.0])];
         let short = [41_u64, 42, 43, 44, 45, 46, 47, 48].map(|seed| (seed, [36.0, 10.0]));
         for (seed, durations_s) in whole.into_iter().chain(short) {
             let motion = trial_motion(place, seed);
