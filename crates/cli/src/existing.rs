@@ -24,6 +24,30 @@ pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result
     Ok(())
 }
 
+/// Fails where two results of a command have one name: one would take the other's place. Devices and pipes may be named twice.
+pub fn expect_distinct(results: &[&Path]) -> anyhow::Result<()> {
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|folder| *folder != Path::new(""));
+        let folder = folder.unwrap_or(Path::new(".")).canonicalize();
+        match (folder, path.file_name()) {
+            (Ok(folder), Some(name)) => folder.join(name),
+            _ => path.to_owned(),
+        }
+    };
+    let is_kept = |path: &&&Path| !path.exists() || path.is_file() || path.is_dir();
+    let mut places = Vec::new();
+    for result in results.iter().filter(is_kept) {
+        let place = place(result);
+        anyhow::ensure!(
+            !places.contains(&place),
+            "{}: two results would be written here: choose another name for one of them",
+            result.display()
+        );
+        places.push(place);
+    }
+    Ok(())
+}
+
 fn is_result(path: &Path) -> bool {
     match path.is_dir() {
         true => path.join(HdMap::HEADER).exists(),
@@ -35,6 +59,17 @@ fn is_result(path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_two_results_have_one_name() {
+        let folder = tempfile::tempdir().expect("folder");
+        let [a, b] = ["a.csv", "b.csv"].map(|name| folder.path().join(name));
+        let null = Path::new("/dev/null");
+        expect_distinct(&[&a, &b, null, null]).expect("distinct");
+        let again = folder.path().join(".").join("a.csv");
+        let refusal = expect_distinct(&[&a, &b, &again]).expect_err("one name");
+        assert!(refusal.to_string().contains("two results"), "{refusal}");
+    }
 
     #[test]
     fn files_and_whole_maps_stay_unless_forced() {

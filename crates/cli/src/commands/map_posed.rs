@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::map_report::{Coverage, by_camera};
 use crate::context::Context;
+use crate::existing::expect_distinct;
 use crate::standing;
 
 /// A map to be built of posed images.
@@ -46,6 +47,7 @@ impl PosedMapJob<'_> {
             .into_iter()
             .flatten()
             .collect();
+        expect_distinct(&outputs)?;
         let posed = PosedImages::read(self.folder)?.without_every(self.holdout_every as usize);
         let provenance = self.provenance(&posed)?;
         if let Some(Said { report }) = context.standing(&outputs, &provenance) {

@@ -16,6 +16,7 @@ use serde::Serialize;
 use super::covariance_file;
 use super::odometry_input::{Choice, InputReport, Scratch, is_ours, run as run_on};
 use crate::context::Context;
+use crate::existing::expect_distinct;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
 use crate::one_of::one_of;
@@ -213,23 +214,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .map(PathBuf::as_path)
         .collect();
     let beside = files::beside(&arguments.out, "covariance");
-    context.claim(&arguments.out, &read)?;
-    context.claim(&beside, &read)?;
-    if let Some(list) = &arguments.out_loops {
-        context.claim(list, &read)?;
-    }
-    if let Some(clouds) = &arguments.out_clouds {
-        let others = [
-            Some(&arguments.out),
-            Some(&beside),
-            arguments.out_loops.as_ref(),
-        ];
-        anyhow::ensure!(
-            !others.contains(&Some(clouds)),
-            "{} would be written twice: give --out-clouds another file",
-            clouds.display()
-        );
-        context.claim(clouds, &read)?;
+    let results: Vec<&Path> = [&arguments.out, &beside]
+        .into_iter()
+        .chain(&arguments.out_loops)
+        .chain(&arguments.out_clouds)
+        .map(PathBuf::as_path)
+        .collect();
+    expect_distinct(&results)?;
+    for result in results {
+        context.claim(result, &read)?;
     }
     let choice = Choice {
         path: &arguments.input,

@@ -8,7 +8,7 @@ mod matches;
 mod page;
 mod unfinished;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::Localizer;
@@ -18,6 +18,7 @@ use serde::Serialize;
 use super::map_settings;
 use super::models::ModelFolder;
 use crate::context::Context;
+use crate::existing::expect_distinct;
 use crate::outcome::Outcome;
 use frames::Frame;
 use input::{Input, Kept};
@@ -140,7 +141,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         &arguments.out_drawing,
         &arguments.out_report,
     ];
-    for result in results.into_iter().flatten() {
+    let results: Vec<&Path> = results
+        .into_iter()
+        .flatten()
+        .map(PathBuf::as_path)
+        .collect();
+    expect_distinct(&results)?;
+    for result in results {
         context.claim(result, &[&input])?;
     }
     let config = map_settings::localization(arguments.config.as_deref())?;
