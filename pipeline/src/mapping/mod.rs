@@ -61,7 +61,7 @@ use residuals_by_part::Regions;
 use rounds::{Optimised, Run, optimise};
 use scan_check::offsets_of_scans;
 pub use scan_offsets::ScanOffsets;
-use scan_pairs::length_without_loop_m;
+use scan_pairs::longest_without_loop_m;
 use scan_source::ScanSource;
 
 /// Where Eq. (4) has the rig's poses from at first.
@@ -196,14 +196,13 @@ pub fn build_map_in_stages(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
-    let without_loop_m = length_without_loop_m(&before, config);
-    let walk_m = without_loop_m.filter(|m| *m > LONGEST_WITHOUT_LOOP_M && control.is_none());
-    report
-        .warnings
-        .extend(walk_m.map(|walk_m| MappingWarning::NoLoops {
-            walk_m,
+    let open_m = longest_without_loop_m(&before, config);
+    if open_m > LONGEST_WITHOUT_LOOP_M && control.is_none() {
+        report.warnings.push(MappingWarning::NoLoops {
+            open_m,
             within_m: config.revisit_distance_m,
-        }));
+        });
+    }
     let regions = Regions::of(&before);
     let (optimised, mut report) = stages.once("adjusted", || {
         if let Some(lidar) = rig.lidar() {

@@ -226,10 +226,10 @@ pub enum MappingWarning {
         /// How long.
         secs: f64,
     },
-    /// The walk comes back to no place where it was before.
+    /// A part of the walk that no loop spans.
     NoLoops {
-        /// Length of the walk, metres.
-        walk_m: f64,
+        /// Length of that part, metres.
+        open_m: f64,
         /// As near as it would have had to come, metres.
         within_m: f64,
     },
@@ -275,7 +275,7 @@ pub enum MappingWarning {
 /// Good maps of simulated walks have 15 to 25 % of wrong matches in their tracks; more is something else.
 pub(super) const USUAL_OUTLIER_SHARE: f64 = 0.4;
 
-/// A walk this long that comes back nowhere has checked nothing against its beginning, metres: longer than the trial's and the demo's walks that do not.
+/// A part of a walk this long that no loop spans has checked nothing against its beginning, metres: longer than the trial's and the demo's walks.
 pub(super) const LONGEST_WITHOUT_LOOP_M: f64 = 50.0;
 
 /// Share of a camera's images that show hardly a feature before it is said, at the least so many: bare walls make a quarter of them on the way
@@ -351,14 +351,14 @@ impl MappingWarning {
             )
             .value(*secs, "s")
             .remedy("check the LiDAR's cable and network (`lsfb doctor`), and scan that part again"),
-            Self::NoLoops { walk_m, within_m } => warn(
+            Self::NoLoops { open_m, within_m } => warn(
                 "no-loops",
                 "trajectory",
-                format!("the walk of {walk_m:.0} m never comes back to within {within_m} m of where it was before: nothing checks how far its end has drifted from its beginning"),
+                format!("{open_m:.0} m of the walk in a row are part of no loop: it does not come back to within {within_m} m of where it was before them, and nothing checks how far their end has drifted from their beginning"),
             )
-            .value(*walk_m, "m")
+            .value(*open_m, "m")
             .limit(Limit::AtMost(LONGEST_WITHOUT_LOOP_M))
-            .remedy("walk back to where the scan began, or give surveyed points (--control-points)"),
+            .remedy("walk back to where that part began, or give surveyed points (--control-points)"),
             Self::StartPartial { missing, scans } => warn(
                 "start-partial",
                 "trajectory",

@@ -48,24 +48,37 @@ pub(super) fn scan_pairs(keyframes: &[Keyframe], config: &MappingConfig) -> Vec<
 /// Shortest way between two keyframes at one place that tells something of drift, metres: on a shorter one somebody turned round.
 const LEAST_LOOP_M: f64 = 10.0;
 
-/// Length of the way along keyframes, metres, where it comes back to no place within `revisit_distance_m`; `None` where it does.
-pub(super) fn length_without_loop_m(
-    keyframes: &[StampedPose],
-    config: &MappingConfig,
-) -> Option<f64> {
+/// Length of the longest part of the way along keyframes that no loop spans, metres: neither it nor what lies around it comes back to within
+/// `revisit_distance_m` of where it was before. A loop elsewhere on the walk says nothing of its drift.
+pub(super) fn longest_without_loop_m(keyframes: &[StampedPose], config: &MappingConfig) -> f64 {
     let place = |k: &StampedPose| k.world_from_rig.translation;
+    let steps_m = keyframes
+        .windows(2)
+        .map(|pair| (place(&pair[1]) - place(&pair[0])).norm());
+    let steps_m: Vec<f64> = steps_m.collect();
     let mut gone_m = vec![0.0; keyframes.len().min(1)];
-    for pair in keyframes.windows(2) {
-        let step_m = (place(&pair[1]) - place(&pair[0])).norm();
+    for step_m in &steps_m {
         gone_m.push(gone_m[gone_m.len() - 1] + step_m);
     }
-    let comes_back = |n: usize| {
+    // The first keyframe that each comes back to.
+    let comes_back_to = |n: usize| {
         let earlier = keyframes.iter().zip(&gone_m);
         let mut left = earlier.take_while(|(_, m)| gone_m[n] - **m >= LEAST_LOOP_M);
-        left.any(|(k, _)| (place(k) - place(&keyframes[n])).norm() < config.revisit_distance_m)
+        left.position(|(k, _)| (place(k) - place(&keyframes[n])).norm() < config.revisit_distance_m)
     };
-    let length_m = gone_m.last().copied()?;
-    (!(0..keyframes.len()).any(comes_back)).then_some(length_m)
+    let mut ends = vec![0; keyframes.len()];
+    for n in 0..keyframes.len() {
+        if let Some(first) = comes_back_to(n) {
+            ends[first] = n;
+        }
+    }
+    let (mut spanned_to, mut open_m, mut longest_m) = (0, 0.0, 0.0_f64);
+    for (k, step_m) in steps_m.iter().enumerate() {
+        spanned_to = spanned_to.max(ends[k]);
+        open_m = if k < spanned_to { 0.0 } else { open_m + step_m };
+        longest_m = longest_m.max(open_m);
+    }
+    longest_m
 }
 
 /// What the scans of two keyframes share; residuals share it too.
@@ -133,22 +146,29 @@ mod tests {
     #[test]
     fn a_walk_that_comes_back_nowhere_is_told_from_one_that_does() {
         let config = MappingConfig::default();
-        let along = |xs: &[f64]| -> Option<f64> {
+        let along = |xs: &[f64]| -> f64 {
             let poses = xs.iter().enumerate().map(|(i, x)| StampedPose {
                 time: Timestamp::from_nanos(i as i64),
                 world_from_rig: Se3::new(Default::default(), Vector3::x() * *x),
             });
-            length_without_loop_m(&poses.collect::<Vec<_>>(), &config)
+            longest_without_loop_m(&poses.collect::<Vec<_>>(), &config)
         };
         let out: Vec<f64> = (0..100).map(f64::from).collect();
-        assert_eq!(along(&out), Some(99.0));
+        assert_eq!(along(&out), 99.0);
         let back: Vec<f64> = out.iter().chain(out.iter().rev()).copied().collect();
-        assert_eq!(along(&back), None);
+        // But for where somebody turns round.
+        assert!(along(&back) < LEAST_LOOP_M, "{}", along(&back));
         // Someone stands and turns for a while.
         let mut turning = out.clone();
         turning.splice(50..50, [50.0; 40]);
-        assert_eq!(along(&turning), Some(99.0));
-        assert_eq!(along(&[]), None);
+        assert_eq!(along(&turning), 99.0);
+        assert_eq!(along(&[]), 0.0);
+        // A loop at the beginning holds nothing of what comes behind it, nor one at the end what was before.
+        let begun = (0..15).chain((0..15).rev()).map(|x| f64::from(x) - 20.0);
+        let begun: Vec<f64> = begun.chain(out.iter().copied()).collect();
+        assert!(along(&begun) >= 99.0, "{}", along(&begun));
+        let ended: Vec<f64> = begun.iter().rev().copied().collect();
+        assert!(along(&ended) >= 99.0, "{}", along(&ended));
     }
 
     #[test]
