@@ -26,6 +26,8 @@ pub struct Context {
     data_lost: Arc<AtomicBool>,
     /// Where is written.
     places: Arc<Mutex<Vec<PathBuf>>>,
+    /// Results that were claimed.
+    claimed: Arc<Mutex<Vec<PathBuf>>>,
 }
 
 impl Context {
@@ -39,6 +41,7 @@ impl Context {
             stop: StopSignal::install()?,
             data_lost: Arc::default(),
             places: Arc::default(),
+            claimed: Arc::default(),
         })
     }
 
@@ -52,6 +55,7 @@ impl Context {
             stop: self.stop.clone(),
             data_lost: Arc::clone(&self.data_lost),
             places: Arc::clone(&self.places),
+            claimed: Arc::clone(&self.claimed),
         }
     }
 
@@ -60,10 +64,14 @@ impl Context {
         self.force
     }
 
-    /// Fails before the work is done where its result must not or cannot be written, by [`crate::existing`]'s rule; `read` is
-    /// what it is made from.
+    /// Fails before the work is done where its result must not or cannot be written, by [`crate::existing`]'s rule, or was claimed already;
+    /// `read` is what it is made from.
     pub fn claim(&self, result: &Path, read: &[&Path]) -> anyhow::Result<()> {
         self.will_write(result);
+        if let Ok(mut claimed) = self.claimed.lock() {
+            crate::existing::expect_another(result, &claimed)?;
+            claimed.push(result.to_owned());
+        }
         crate::existing::expect_free(result, read, self.force)?;
         crate::files::expect_writable(result)
     }

@@ -3,7 +3,7 @@
 //! A map is a result when it has its header: a folder without it is empty, or half a map. Lists of devices and sockets that
 //! `lsfb sim` and `lsfb mock` make for a recorder are no results, and are made again.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::hd_map::HdMap;
 
@@ -24,8 +24,9 @@ pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result
     Ok(())
 }
 
-/// Fails where two results of a command have one name: one would take the other's place. Devices and pipes may be named twice.
-pub fn expect_distinct(results: &[&Path]) -> anyhow::Result<()> {
+/// Fails where a result has the name of another one of the same command, which it would take the place of. Devices and pipes may be named
+/// twice.
+pub fn expect_another(result: &Path, others: &[PathBuf]) -> anyhow::Result<()> {
     let place = |path: &Path| {
         let folder = path.parent().filter(|folder| *folder != Path::new(""));
         let folder = folder.unwrap_or(Path::new(".")).canonicalize();
@@ -34,17 +35,16 @@ pub fn expect_distinct(results: &[&Path]) -> anyhow::Result<()> {
             _ => path.to_owned(),
         }
     };
-    let is_kept = |path: &&&Path| !path.exists() || path.is_file() || path.is_dir();
-    let mut places = Vec::new();
-    for result in results.iter().filter(is_kept) {
-        let place = place(result);
-        anyhow::ensure!(
-            !places.contains(&place),
-            "{}: two results would be written here: choose another name for one of them",
-            result.display()
-        );
-        places.push(place);
-    }
+    let is_kept = !result.exists() || result.is_file() || result.is_dir();
+    let is_named = || {
+        let here = place(result);
+        others.iter().any(|other| place(other) == here)
+    };
+    anyhow::ensure!(
+        !(is_kept && is_named()),
+        "{}: two results would be written here: choose another name for one of them",
+        result.display()
+    );
     Ok(())
 }
 
@@ -65,9 +65,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let [a, b] = ["a.csv", "b.csv"].map(|name| folder.path().join(name));
         let null = Path::new("/dev/null");
-        expect_distinct(&[&a, &b, null, null]).expect("distinct");
+        let claimed = [a, null.to_owned()];
+        for other in [&b, null] {
+            expect_another(other, &claimed).expect("another");
+        }
         let again = folder.path().join(".").join("a.csv");
-        let refusal = expect_distinct(&[&a, &b, &again]).expect_err("one name");
+        let refusal = expect_another(&again, &claimed).expect_err("one name");
         assert!(refusal.to_string().contains("two results"), "{refusal}");
     }
 

@@ -21,7 +21,6 @@ use super::models::ModelFolder;
 use super::surroundings::Surroundings;
 use super::walk_files::WalkFiles;
 use crate::context::Context;
-use crate::existing::expect_distinct;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
@@ -253,7 +252,6 @@ impl WalkJob<'_> {
         }
         let outputs = files.iter().map(WalkFiles::trajectory);
         let outputs: Vec<&Path> = outputs.chain(self.out_report).collect();
-        expect_distinct(&outputs)?;
         if let Some(said) = context.standing(&outputs, &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,

@@ -21,7 +21,6 @@ use super::map_surface::check_source;
 use super::map_tools::{self, Tool};
 use super::models::ModelFolder;
 use crate::context::Context;
-use crate::existing::expect_distinct;
 use crate::outcome::Outcome;
 use crate::standing;
 
@@ -268,7 +267,6 @@ impl MapJob<'_> {
             provenance.add_input(path)?;
         }
         provenance.add_rig(&super::about(self.recording, scan.rig())?);
-        expect_distinct(&outputs)?;
         if let Some(Said {
             report,
             reprojection_errors_px,

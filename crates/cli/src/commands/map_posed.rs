@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 
 use super::map_report::{Coverage, by_camera};
 use crate::context::Context;
-use crate::existing::expect_distinct;
 use crate::standing;
 
 /// A map to be built of posed images.
@@ -47,7 +46,6 @@ impl PosedMapJob<'_> {
             .into_iter()
             .flatten()
             .collect();
-        expect_distinct(&outputs)?;
         let posed = PosedImages::read(self.folder)?.without_every(self.holdout_every as usize);
         let provenance = self.provenance(&posed)?;
         if let Some(Said { report }) = context.standing(&outputs, &provenance) {
@@ -104,7 +102,6 @@ impl PosedMapJob<'_> {
     fn page(&self, map: &HdMap, report: &PosedMapReport, findings: &[Finding]) -> String {
         let coverage = Coverage::of(map);
         let px = |name: &str, px: f64| Figure::new(name, px, "px");
-        let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
         let listed = report.as_listed.iter().flat_map(|listed| {
             [
                 px(
@@ -120,20 +117,11 @@ impl PosedMapJob<'_> {
         let own = [
             px("reprojection, rms", report.reprojection_rms_px),
             px("reprojection, median", report.reprojection_median_px),
-            count("map points", report.points),
-            count("keyframes", report.keyframes),
-            count("observations", report.observations),
-            count("unused observations", report.dropped_observations),
-            Figure::new(
-                "unused observations, share",
-                100.0 * report.outlier_share,
-                "%",
-            ),
-            count("weakly covered keyframes", coverage.weak.len() as u64),
         ];
+        let content = coverage.figures(report.dropped_observations, report.outlier_share);
         Report {
             title: format!("Map of {}", self.folder.display()),
-            figures: listed.chain(own).collect(),
+            figures: listed.chain(own).chain(content).collect(),
             tables: vec![by_camera(&report.by_camera)],
             map_points: map.positions().collect(),
             tracks: coverage.tracks("cameras"),

@@ -43,7 +43,6 @@ impl MapPage<'_> {
         let (before, after) = (&report.lidar_before, &report.lidar_after);
         let mm = |name: &str, metres: f64| Figure::new(name, metres * 1e3, "mm");
         let px = |name: &str, px: f64| Figure::new(name, px, "px");
-        let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
         let mut findings = findings(self.map, report);
         let mut provenance = vec![Provenance {
             name: "iterations of Eq. (4)".to_owned(),
@@ -74,18 +73,9 @@ impl MapPage<'_> {
                 mm("distance from planes, rms", after.plane_rms_m),
                 mm("distance from edges before, rms", before.edge_rms_m),
                 mm("distance from edges, rms", after.edge_rms_m),
-                count("map points", report.points),
-                count("keyframes", report.keyframes),
-                count("observations", report.observations),
-                count("unused observations", report.dropped_observations),
-                Figure::new(
-                    "unused observations, share",
-                    100.0 * report.outlier_share,
-                    "%",
-                ),
-                count("weakly covered keyframes", coverage.weak.len() as u64),
             ]
             .into_iter()
+            .chain(coverage.figures(report.dropped_observations, report.outlier_share))
             .chain(report.control.iter().flat_map(map_control::figures))
             .chain(marked_figures)
             .collect(),
@@ -145,6 +135,19 @@ impl Coverage {
         ];
         let tracks = tracks.into_iter();
         tracks.filter(|track| !track.estimate.is_empty()).collect()
+    }
+
+    /// How much is in the map, and what was left out of it: observations, and their share beyond the limit.
+    pub fn figures(&self, dropped_observations: u64, outlier_share: f64) -> [Figure; 6] {
+        let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
+        [
+            count("map points", self.track_lengths.len() as u64),
+            count("keyframes", self.keyframes.len() as u64),
+            count("observations", self.track_lengths.iter().sum()),
+            count("unused observations", dropped_observations),
+            Figure::new("unused observations, share", 100.0 * outlier_share, "%"),
+            count("weakly covered keyframes", self.weak.len() as u64),
+        ]
     }
 
     /// Distributions of these reprojection errors, and of the observations.

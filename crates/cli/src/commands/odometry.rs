@@ -16,7 +16,6 @@ use serde::Serialize;
 use super::covariance_file;
 use super::odometry_input::{Choice, InputReport, Scratch, is_ours, run as run_on};
 use crate::context::Context;
-use crate::existing::expect_distinct;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
 use crate::one_of::one_of;
@@ -220,7 +219,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .chain(&arguments.out_clouds)
         .map(PathBuf::as_path)
         .collect();
-    expect_distinct(&results)?;
     for result in results {
         context.claim(result, &read)?;
     }

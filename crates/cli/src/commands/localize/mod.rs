@@ -18,7 +18,6 @@ use serde::Serialize;
 use super::map_settings;
 use super::models::ModelFolder;
 use crate::context::Context;
-use crate::existing::expect_distinct;
 use crate::outcome::Outcome;
 use frames::Frame;
 use input::{Input, Kept};
@@ -146,7 +145,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .flatten()
         .map(PathBuf::as_path)
         .collect();
-    expect_distinct(&results)?;
     for result in results {
         context.claim(result, &[&input])?;
     }
