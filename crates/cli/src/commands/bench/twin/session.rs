@@ -233,7 +233,8 @@ impl Session<'_> {
                 let smoothness = &judged.own.smoothness;
                 let both = shaking(&smoothness.estimate).zip(shaking(&smoothness.truth));
                 run.jitter_m = both.map(|(own, real)| (own * own - real * real).max(0.0).sqrt());
-                let wrong = |e: &&lsfb_eval::PoseError| e.translation_m > WRONG_M;
+                // What is no number is no right pose.
+                let wrong = |e: &&lsfb_eval::PoseError| !(e.translation_m <= WRONG_M);
                 run.exported = judged.in_map.errors.len() as u64;
                 run.exported_wrong = match walked.condition {
                     // Wherever it is on the mapped floor, it is not there.
