@@ -340,6 +340,12 @@ pub enum Error {
         /// The rig's name.
         rig: String,
     },
+    /// The system gives no more threads.
+    #[error("cannot start a thread: {message}")]
+    Threads {
+        /// What it says.
+        message: String,
+    },
     /// A least-squares problem could not be solved.
     #[error("optimisation: {0}")]
     Solver(#[from] lsfb_solver::Error),

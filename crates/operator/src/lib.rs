@@ -45,6 +45,6 @@ pub use preview::Preview;
 pub use screen::{Screen, ScreenConfig, SecureScreen};
 pub use shared::{Command, Request};
 pub use state::{
-    BatteryState, ControlPoint, CoverageState, Level, Phase, PoseState, ScreenState, StorageState,
-    StreamState, SyncState, Tracking, UnseenKind, UnseenMotion,
+    BatteryState, ControlPoint, CoverageState, Level, LoopState, Phase, PoseState, ScreenState,
+    StorageState, StreamState, SyncState, Tracking, UnseenKind, UnseenMotion,
 };

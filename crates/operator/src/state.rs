@@ -70,12 +70,47 @@ pub struct ScreenState {
     pub path_m: f64,
     /// Scans that are recorded and missing from the live map, since the live odometry was behind.
     pub skipped_scans: u64,
+    /// How many places were recognised that the walk came back to.
+    pub loop_count: u64,
+    /// The last of them, the newest at the end.
+    pub loops: Vec<LoopState>,
     /// How well the place was seen.
     pub coverage: CoverageState,
     /// Control points so far.
     pub control_points: Vec<ControlPoint>,
     /// Notes so far.
     pub notes: u64,
+}
+
+/// Loops that are shown.
+const SHOWN_LOOPS: usize = 20;
+
+impl ScreenState {
+    /// Adds a place that was recognised.
+    pub fn take_loop(&mut self, found: LoopState) {
+        self.loop_count += 1;
+        if self.loops.len() == SHOWN_LOOPS {
+            self.loops.remove(0);
+        }
+        self.loops.push(found);
+    }
+
+    /// Another walk has other loops.
+    pub fn forget_loops(&mut self) {
+        self.loop_count = 0;
+        self.loops.clear();
+    }
+}
+
+/// A place that the walk came back to, and that was recognised there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LoopState {
+    /// Where the live map has the earlier visit, metres.
+    pub earlier_m: [f64; 2],
+    /// Where it has the later one, metres.
+    pub later_m: [f64; 2],
+    /// How far the live map is off between the two, metres.
+    pub off_m: f64,
 }
 
 /// One device.

@@ -70,6 +70,9 @@ pub fn lines(state: &ScreenState) -> String {
         if state.skipped_scans > 0 {
             let _ = write!(out, ", {} scans skipped", state.skipped_scans);
         }
+        if state.loop_count > 0 {
+            let _ = write!(out, ", {} loops", state.loop_count);
+        }
         for spot in &state.coverage.go_back {
             let (dx_m, dy_m) = (spot.x_m - pose.x_m, spot.y_m - pose.y_m);
             let _ = write!(
@@ -183,6 +186,7 @@ mod tests {
             pose: Some(PoseState::default()),
             path_m: 40.2,
             skipped_scans: 7,
+            loop_count: 3,
             coverage: CoverageState {
                 seen_m2: 120.0,
                 good_m2: 90.0,
@@ -200,7 +204,7 @@ mod tests {
             "RECORDING 1:02:05 scan.mcap · lost 3 · sync 0.4 ms · disk ?12.3 GB, full in 2:03 · battery 83 %",
             "lidar        !   10.0 Hz     37000  lost 3  silent for 4 s",
             "go back      5 m left: 6 m² seen from far away only",
-            "40 m walked, 90 of 120 m² well covered, 7 scans skipped",
+            "40 m walked, 90 of 120 m² well covered, 7 scans skipped, 3 loops",
         ] {
             assert!(text.contains(words), "{words:?} is not in\n{text}");
         }

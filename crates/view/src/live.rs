@@ -26,6 +26,9 @@ const MAP_SCANS: u64 = 600;
 const MAP_STRIDE: u64 = 5;
 const RIG_ENTITY: &str = "world/live/rig";
 const UNSEEN_ENTITY: &str = "world/live/unseen";
+const LOOPS_ENTITY: &str = "world/live/loops";
+/// Green, as on the operator's page.
+const LOOP_COLOUR: [u8; 3] = [0, 129, 62];
 /// How far the line along what is not seen reaches to each side, metres.
 const UNSEEN_M: f64 = 6.0;
 /// Orange, as on the operator's page.
@@ -46,6 +49,11 @@ enum Item {
     Image(String, Stamped<Image>),
     Imu(Stamped<ImuSample>),
     BeginAgain,
+    Loop {
+        time: Timestamp,
+        earlier: Vector3<f64>,
+        later: Vector3<f64>,
+    },
     Step {
         time: Timestamp,
         world_from_rig: Se3,
@@ -129,6 +137,15 @@ impl LiveView {
         });
     }
 
+    /// Shows that a place was recognised at the end of a scan: where the walk has it, and where it had it before.
+    pub fn found_loop(&self, time: Timestamp, earlier: &Vector3<f64>, later: &Vector3<f64>) {
+        self.put(|| Item::Loop {
+            time,
+            earlier: *earlier,
+            later: *later,
+        });
+    }
+
     fn put(&self, item: impl FnOnce() -> Item) {
         let sent = self
             .queue
@@ -156,6 +173,7 @@ struct Sender {
     samples: u64,
     scans: u64,
     path: Vec<[f32; 3]>,
+    loops: Vec<[[f32; 3]; 2]>,
     shows_unseen: bool,
 }
 
@@ -166,6 +184,7 @@ impl Sender {
             samples: 0,
             scans: 0,
             path: Vec::new(),
+            loops: Vec::new(),
             shows_unseen: false,
         };
         sender.log_static("world", &ViewCoordinates::RIGHT_HAND_Z_UP());
@@ -207,6 +226,16 @@ impl Sender {
                 }
             }
             Item::BeginAgain => self.begin_again(),
+            Item::Loop {
+                time,
+                earlier,
+                later,
+            } => {
+                self.set_time(time);
+                let visits = [earlier, later].map(|p| p.map(|v| v as f32).into());
+                self.loops.push(visits);
+                self.show_loops();
+            }
             Item::Step {
                 time,
                 world_from_rig,
@@ -223,6 +252,23 @@ impl Sender {
     fn begin_again(&mut self) {
         self.scans = 0;
         self.path.clear();
+        if !self.loops.is_empty() {
+            self.loops.clear();
+            self.show_loops();
+        }
+    }
+
+    /// Places that were recognised: a line between both visits of each, which has no length where the odometry has not drifted.
+    fn show_loops(&self) {
+        let lines = LineStrips3D::new(self.loops.iter().map(|visits| visits.as_slice()))
+            .with_radii([Radius::new_ui_points(2.0 * LINE_RADIUS)])
+            .with_colors([LOOP_COLOUR]);
+        self.log(LOOPS_ENTITY, &lines);
+        let places = Points3D::new(self.loops.iter().map(|[_, later]| *later))
+            .with_radii([Radius::new_ui_points(4.0 * LINE_RADIUS)])
+            .with_colors([LOOP_COLOUR])
+            .with_labels(self.loops.iter().map(|_| "recognised"));
+        self.log(&format!("{LOOPS_ENTITY}/places"), &places);
     }
 
     fn step(&mut self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
@@ -331,9 +377,19 @@ mod tests {
             points_in_rig: Vec::new(),
             unseen_in_world: None,
         };
-        let items = [step(0.0), step(1.0), Item::BeginAgain, step(0.0), step(2.0)];
+        let found = Item::Loop {
+            time: Timestamp::from_nanos(0),
+            earlier: Vector3::zeros(),
+            later: Vector3::x(),
+        };
+        for item in [step(0.0), step(1.0), found] {
+            sender.send(item);
+        }
+        assert_eq!(sender.loops, [[[0.0; 3], [1.0, 0.0, 0.0]]]);
+        let items = [Item::BeginAgain, step(0.0), step(2.0)];
         items.into_iter().for_each(|item| sender.send(item));
         assert_eq!(sender.path, [[0.0; 3], [2.0, 0.0, 0.0]]);
+        assert!(sender.loops.is_empty());
         assert_eq!(sender.scans, 2);
     }
 

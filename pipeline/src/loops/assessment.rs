@@ -3,10 +3,10 @@
 use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector3, Vector6};
 use lsfb_perception::lidar::{Observability, Registration};
 
-use super::keyframes::{self, Keyframe};
+use super::keyframes::{self, Keyframe, Scans};
 use super::ways::Way;
 use super::{Loop, LoopRejection, LoopScores, LoopVerdict, MeasuredLoop};
-use crate::odometry::{OdometryConfig, OdometryResult};
+use crate::odometry::OdometryConfig;
 use crate::place_search::{self, Query, Region};
 
 /// What the odometry may drift besides what its covariance says, as a share of the way: errors of the rig are not in that, and the twin's
@@ -39,11 +39,12 @@ const SHARED_RAD: f64 = 0.001;
 /// Farthest correspondence from a start, metres.
 const GATE_M: f64 = 0.75;
 
-/// The scans of a walk, and how they are registered.
-pub(super) struct Scans<'a> {
-    pub result: &'a OdometryResult,
+/// Judges pairs of keyframes by the scans of the walk.
+#[derive(Clone, Copy)]
+pub(super) struct Assessor<'a> {
+    pub scans: Scans<'a>,
+    /// How scans are registered.
     pub config: &'a OdometryConfig,
-    pub paths_m: &'a [f64],
 }
 
 /// What two keyframes that look alike come to.
@@ -53,7 +54,7 @@ pub(super) struct Assessment {
     pub is_registered: bool,
 }
 
-impl Scans<'_> {
+impl Assessor<'_> {
     /// `way` is what is known of the later keyframe's pose on the earlier. A loop that passes is accepted as far as one alone can be.
     pub fn assess(
         &self,
@@ -95,28 +96,21 @@ impl Scans<'_> {
         open: &Open,
         found: &mut Loop,
     ) -> Option<LoopRejection> {
-        let points = keyframes::query_points(&self.result.clouds[later.scan]);
+        let points = keyframes::query_points(&self.scans.clouds[later.scan]);
         let query = Query {
             points_in_rig: &points,
-            sensor_in_rig: self.result.lidar.rig_from_lidar.translation,
+            sensor_in_rig: self.scans.lidar.rig_from_lidar.translation,
         };
         let reach_m = SUBMAP_M + SIGMAS * open.worst_sigma_m;
         // Nothing of the later visit itself.
         let last_m = 0.5 * (earlier.path_m + later.path_m);
-        let map = keyframes::submap(
-            self.result,
-            self.paths_m,
-            earlier,
-            reach_m,
-            last_m,
-            self.config,
-        );
+        let map = keyframes::submap(&self.scans, earlier, reach_m, last_m, self.config);
         let region = Region {
             map_from_rig: open.earlier_from_later,
             covariance: open.covariance,
             up_in_rig: later.world_from_rig.rotation.inverse() * Vector3::z(),
         };
-        let settings = self.config.registration(&self.result.lidar, GATE_M);
+        let settings = self.config.registration(self.scans.lidar, GATE_M);
         let Some(places) = place_search::search(&query, &region, &map, &settings) else {
             return Some(LoopRejection::OdometryTooUncertain);
         };

@@ -5,7 +5,10 @@
 //! of their columns, at the heading where that is least (eq. 6, 7), and few are compared at all: those whose
 //! means over each ring are near. Scans are made level first, and heights count from the sensor.
 
-use lsfb_geometry::{Se3, UnitQuaternion, Vector3};
+use lsfb_geometry::{RigLidar, Se3, UnitQuaternion, Vector3};
+
+use super::keyframes;
+use crate::odometry::DeskewedCloud;
 
 const RINGS: usize = 20;
 const SECTORS: usize = 60;
@@ -24,6 +27,12 @@ pub(super) struct Descriptor {
 }
 
 impl Descriptor {
+    /// Of a scan.
+    pub fn of(cloud: &DeskewedCloud, world_from_rig: &Se3, lidar: &RigLidar) -> Self {
+        let sensor_in_rig = lidar.rig_from_lidar.translation;
+        Self::new(keyframes::points(cloud), world_from_rig, &sensor_in_rig)
+    }
+
     /// Of points in the rig's frame.
     pub fn new(
         points_in_rig: impl Iterator<Item = Vector3<f64>>,

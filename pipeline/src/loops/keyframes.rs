@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use lsfb_geometry::{Matrix6, Se3, Vector3};
+use lsfb_geometry::{Matrix6, RigLidar, Se3, Vector3};
 use lsfb_perception::lidar::LocalMap;
 use lsfb_types::Timestamp;
 use nalgebra::SymmetricEigen;
 
-use crate::odometry::{DeskewedCloud, OdometryConfig, OdometryResult};
+use crate::odometry::{DeskewedCloud, OdometryConfig, OdometryResult, ScanPose};
 use crate::place_search::thinned;
 
 /// Distance between keyframes, metres.
@@ -15,7 +15,7 @@ const SPACING_M: f64 = 1.0;
 /// Turn between keyframes, radians.
 const SPACING_RAD: f64 = 0.5;
 /// Distance between scans that make a submap, metres.
-const SUBMAP_SPACING_M: f64 = 0.45;
+pub(super) const SUBMAP_SPACING_M: f64 = 0.45;
 /// Points of a scan that is registered, at most.
 const QUERY_POINTS: usize = 2000;
 
@@ -32,6 +32,24 @@ pub(crate) struct Keyframe {
     pub path_m: f64,
 }
 
+/// The scans of a walk that found their place.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scans<'a> {
+    pub poses: &'a [ScanPose],
+    pub clouds: &'a [DeskewedCloud],
+    /// Way from the first scan to each, metres.
+    pub paths_m: &'a [f64],
+    pub lidar: &'a RigLidar,
+}
+
+/// Whether a scan is far enough from the last keyframe to be one.
+pub(super) fn is_apart(last: Option<&Keyframe>, world_from_rig: &Se3) -> bool {
+    last.is_none_or(|last| {
+        let moved = last.world_from_rig.inverse() * *world_from_rig;
+        moved.translation.norm() > SPACING_M || moved.rotation.angle() > SPACING_RAD
+    })
+}
+
 /// Of the scans that found their place those that are apart, the first always.
 pub(super) fn choose(result: &OdometryResult) -> Vec<Keyframe> {
     with(result, &BTreeSet::new())
@@ -42,12 +60,7 @@ pub(super) fn with(result: &OdometryResult, ends: &BTreeSet<Timestamp>) -> Vec<K
     let mut chosen: Vec<Keyframe> = Vec::new();
     for (scan, path_m) in paths_m(result).into_iter().enumerate() {
         let at = &result.scan_poses[scan];
-        let is_apart = ends.contains(&at.pose.time)
-            || chosen.last().is_none_or(|last| {
-                let moved = last.world_from_rig.inverse() * at.pose.world_from_rig;
-                moved.translation.norm() > SPACING_M || moved.rotation.angle() > SPACING_RAD
-            });
-        if is_apart {
+        if ends.contains(&at.pose.time) || is_apart(chosen.last(), &at.pose.world_from_rig) {
             chosen.push(Keyframe {
                 scan,
                 time: at.pose.time,
@@ -101,25 +114,24 @@ pub(super) fn points(cloud: &DeskewedCloud) -> impl Iterator<Item = Vector3<f64>
 
 /// The map of the scans up to `reach_m` before and after a keyframe, none after `last_path_m`, in that keyframe's rig frame.
 pub(super) fn submap(
-    result: &OdometryResult,
-    paths_m: &[f64],
+    scans: &Scans<'_>,
     centre: &Keyframe,
     reach_m: f64,
     last_path_m: f64,
     config: &OdometryConfig,
 ) -> LocalMap {
-    let mut map = LocalMap::new(config.local_map(&result.lidar));
-    let sensor_in_rig = result.lidar.rig_from_lidar.translation;
+    let mut map = LocalMap::new(config.local_map(scans.lidar));
+    let sensor_in_rig = scans.lidar.rig_from_lidar.translation;
     let centre_from_world = centre.world_from_rig.inverse();
     let mut last_m = f64::NEG_INFINITY;
-    for (scan, path_m) in paths_m.iter().copied().enumerate() {
+    for (scan, path_m) in scans.paths_m.iter().copied().enumerate() {
         let is_near = (path_m - centre.path_m).abs() <= reach_m && path_m <= last_path_m;
         if scan != centre.scan && (!is_near || path_m - last_m < SUBMAP_SPACING_M) {
             continue;
         }
         last_m = path_m;
-        let centre_from_rig = centre_from_world * result.scan_poses[scan].pose.world_from_rig;
-        let points: Vec<_> = points(&result.clouds[scan]).collect();
+        let centre_from_rig = centre_from_world * scans.poses[scan].pose.world_from_rig;
+        let points: Vec<_> = points(&scans.clouds[scan]).collect();
         map.insert(&points, &centre_from_rig, &sensor_in_rig);
     }
     map

@@ -7,6 +7,7 @@ mod descriptor;
 mod file;
 mod graph;
 mod keyframes;
+mod online;
 mod search;
 mod ways;
 
@@ -22,6 +23,7 @@ pub(crate) use assessment::CHI_SQUARED;
 pub use closing::{Closing, close_loops};
 pub(crate) use graph::{closed_poses, fitting, squared_sigmas};
 pub(crate) use keyframes::Keyframe;
+pub use online::{OnlineLoop, OnlineLoops};
 pub use search::find_loops;
 pub(crate) use ways::{Way, Ways};
 

@@ -4,10 +4,10 @@ use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
 use super::agreement::agree;
-use super::assessment::Scans;
+use super::assessment::Assessor;
 use super::closing::reject_disagreeing;
 use super::descriptor::Descriptor;
-use super::keyframes::{self, Keyframe};
+use super::keyframes::{self, Keyframe, Scans};
 use super::ways::Ways;
 use super::{Loop, LoopRejection, LoopVerdict, Loops, Measured};
 use crate::Error;
@@ -46,25 +46,21 @@ pub fn find_loops(
     let paths_m = keyframes::paths_m(result);
     let descriptors: Vec<Descriptor> = keyframes
         .par_iter()
-        .map(|k| {
-            let sensor_in_rig = result.lidar.rig_from_lidar.translation;
-            let points = keyframes::points(&result.clouds[k.scan]);
-            Descriptor::new(points, &k.world_from_rig, &sensor_in_rig)
-        })
+        .map(|k| Descriptor::of(&result.clouds[k.scan], &k.world_from_rig, &result.lidar))
         .collect();
-    let scans = Scans {
-        result,
-        config,
-        paths_m: &paths_m,
-    };
-    let mut search = Search {
+    let mut found = Found::new(&keyframes);
+    let search = Search {
         keyframes: &keyframes,
         descriptors: &descriptors,
-        scans,
-        ways: Ways::new(&keyframes),
-        measured: Vec::new(),
-        confirmed_m: f64::NEG_INFINITY,
-        found: Loops::default(),
+        assessor: Assessor {
+            scans: Scans {
+                poses: &result.scan_poses,
+                clouds: &result.clouds,
+                paths_m: &paths_m,
+                lidar: &result.lidar,
+            },
+            config,
+        },
     };
     for later in 0..keyframes.len() {
         progress(Progress {
@@ -72,42 +68,49 @@ pub fn find_loops(
             done: later as u64,
             total: keyframes.len() as u64,
         })?;
-        search.look_from(later);
+        search.look_from(later, &mut found);
     }
-    let mut found = search.finish();
+    let mut found = found.finish();
     reject_disagreeing(&mut found, &keyframes, progress)?;
     Ok(found)
 }
 
-struct Search<'a> {
-    keyframes: &'a [Keyframe],
-    descriptors: &'a [Descriptor],
-    scans: Scans<'a>,
-    ways: Ways,
-    /// Accepted loops, with their number in the list.
-    measured: Vec<(Measured, usize, Confirmed)>,
+/// What loops are sought among.
+pub(super) struct Search<'a> {
+    pub keyframes: &'a [Keyframe],
+    pub descriptors: &'a [Descriptor],
+    pub assessor: Assessor<'a>,
+}
+
+/// What was found so far.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    pub ways: Ways,
+    /// Loops that may be accepted, with their number in the list.
+    pub measured: Vec<(Measured, usize, Confirmed)>,
     /// Where on the way the last loop was confirmed, metres.
     confirmed_m: f64,
-    found: Loops,
+    pub loops: Loops,
 }
 
 /// Whether another loop says the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Confirmed {
+pub(super) enum Confirmed {
     Yes,
     NotYet,
 }
 
 impl Search<'_> {
-    fn look_from(&mut self, later: usize) {
-        if self.keyframes[later].path_m - self.confirmed_m < REST_M {
+    /// Looks for earlier visits of the place of a keyframe.
+    pub fn look_from(&self, later: usize, found: &mut Found) {
+        if self.keyframes[later].path_m - found.confirmed_m < REST_M {
             return;
         }
         let candidates = self.candidates(later);
         if candidates.is_empty() {
             return;
         }
-        let ways = self.ways.to(later);
+        let ways = found.ways.to(later);
         let mut registered = 0;
         let mut unregistered: Option<Loop> = None;
         for candidate in candidates.iter().take(LOOKED_AT) {
@@ -115,7 +118,7 @@ impl Search<'_> {
                 continue;
             };
             let (a, b) = (&self.keyframes[candidate.earlier], &self.keyframes[later]);
-            let assessment = self.scans.assess(a, b, way, candidate.appearance);
+            let assessment = self.assessor.assess(a, b, way, candidate.appearance);
             if !assessment.is_registered {
                 // The most alike of them is worth a line.
                 unregistered.get_or_insert(assessment.found);
@@ -123,13 +126,13 @@ impl Search<'_> {
             }
             registered += 1;
             let is_accepted = assessment.found.verdict == LoopVerdict::Accepted;
-            self.take(candidate.earlier, later, assessment.found);
+            found.take(candidate.earlier, later, assessment.found, self.keyframes);
             if is_accepted || registered == REGISTERED {
                 break;
             }
         }
-        if let Some(found) = unregistered.filter(|_| registered == 0) {
-            self.found.all.push(found);
+        if let Some(unregistered) = unregistered.filter(|_| registered == 0) {
+            found.loops.all.push(unregistered);
         }
     }
 
@@ -166,13 +169,25 @@ impl Search<'_> {
         }
         apart
     }
+}
+
+impl Found {
+    /// Nothing yet.
+    pub fn new(keyframes: &[Keyframe]) -> Self {
+        Self {
+            ways: Ways::new(keyframes),
+            measured: Vec::new(),
+            confirmed_m: f64::NEG_INFINITY,
+            loops: Loops::default(),
+        }
+    }
 
     /// Adds a loop that was registered, and confirms it and those that it agrees with.
-    fn take(&mut self, earlier: usize, later: usize, found: Loop) {
-        let number = self.found.all.len();
+    fn take(&mut self, earlier: usize, later: usize, found: Loop, keyframes: &[Keyframe]) {
+        let number = self.loops.all.len();
         let measured = found.measured;
         let is_accepted = found.verdict == LoopVerdict::Accepted;
-        self.found.all.push(found);
+        self.loops.all.push(found);
         let Some(loop_) = measured.filter(|_| is_accepted) else {
             return;
         };
@@ -183,7 +198,7 @@ impl Search<'_> {
         };
         let mut agrees = false;
         for (other, _, confirmed) in &mut self.measured {
-            if agree(other, &new, self.keyframes) {
+            if agree(other, &new, keyframes) {
                 agrees = true;
                 if std::mem::replace(confirmed, Confirmed::Yes) == Confirmed::NotYet {
                     self.ways.accept(other);
@@ -196,7 +211,7 @@ impl Search<'_> {
         };
         if agrees {
             self.ways.accept(&new);
-            self.confirmed_m = self.keyframes[later].path_m;
+            self.confirmed_m = keyframes[later].path_m;
         }
         self.measured.push((new, number, confirmed));
     }
@@ -204,9 +219,9 @@ impl Search<'_> {
     fn finish(mut self) -> Loops {
         for (_, number, confirmed) in &self.measured {
             if *confirmed == Confirmed::NotYet {
-                self.found.all[*number].verdict = LoopVerdict::Rejected(LoopRejection::Unconfirmed);
+                self.loops.all[*number].verdict = LoopVerdict::Rejected(LoopRejection::Unconfirmed);
             }
         }
-        self.found
+        self.loops
     }
 }

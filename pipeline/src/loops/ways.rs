@@ -67,14 +67,24 @@ pub(super) fn widened_step(from: &Keyframe, to: &Keyframe) -> Matrix6<f64> {
 impl Ways {
     /// Along the odometry alone.
     pub fn new(keyframes: &[Keyframe]) -> Self {
-        let mut ways = Self(vec![Vec::new(); keyframes.len()]);
-        for (k, pair) in keyframes.windows(2).enumerate() {
-            let a_from_b = pair[0].world_from_rig.inverse() * pair[1].world_from_rig;
-            let covariance = widened_step(&pair[0], &pair[1]);
-            let length_m = pair[1].path_m - pair[0].path_m;
-            ways.join(k, k + 1, &a_from_b, &covariance, length_m);
+        let mut ways = Self(Vec::new());
+        for k in 0..keyframes.len() {
+            ways.go_on(&keyframes[..=k]);
         }
         ways
+    }
+
+    /// Goes on along the odometry to the last of the keyframes; all before it are in already.
+    pub fn go_on(&mut self, keyframes: &[Keyframe]) {
+        self.0.push(Vec::new());
+        let [.., before, last] = keyframes else {
+            return;
+        };
+        let before_from_last = before.world_from_rig.inverse() * last.world_from_rig;
+        let covariance = widened_step(before, last);
+        let length_m = last.path_m - before.path_m;
+        let number = keyframes.len() - 1;
+        self.join(number - 1, number, &before_from_last, &covariance, length_m);
     }
 
     /// Adds a loop that is accepted.

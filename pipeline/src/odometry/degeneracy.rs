@@ -1,12 +1,12 @@
-//! What a scan does not see is said, and counts for nothing in the covariance of its pose.
+//! What a scan does not see is said, left to the prediction, and counts for nothing in the covariance of the pose.
 
 use lsfb_geometry::{Matrix6, Se3, StampedPose, Vector3, Vector6};
-use lsfb_perception::lidar::{Direction, Registration, ScanFinder, observability};
+use lsfb_perception::lidar::{Direction, PosePrior, Registration, ScanFinder, observability};
 use serde::{Deserialize, Serialize};
 
 use super::motion::{Motion, end_pose};
 use super::uncertainty::once_seen;
-use super::{MIN_GATE_M, Odometry, ReducedScan};
+use super::{Estimate, MIN_GATE_M, Odometry, ReducedScan};
 
 /// A motion that a scan does not see.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,17 +43,43 @@ pub(super) struct ScanInformation {
     pub unseen: Option<Unseen>,
     /// Information on the pose that it adds to the scans before it, with which it shares the faults of the surfaces they all see.
     pub lasting: Matrix6<f64>,
+    /// Where it does not see all.
+    pub seen_alone: Option<SeenAlone>,
+}
+
+/// What a scan says of the pose in the directions that it sees, and in no others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SeenAlone {
+    information: Matrix6<f64>,
+    /// Takes a gradient to its part along the directions that are not seen.
+    of_unseen: Matrix6<f64>,
+}
+
+impl SeenAlone {
+    /// A pose that was found with all that the scan seems to say, without what it says of directions that it does not see: there the prediction
+    /// stands.
+    pub fn estimate(&self, prior: &PosePrior, found: &Se3) -> Estimate {
+        // Where both are balanced the prior pulls as hard as the scan, the other way.
+        let pull = prior.information * prior.world_from_rig.local(found);
+        let both = (self.information + prior.information).cholesky();
+        Estimate {
+            world_from_rig: both.map_or(*found, |both| {
+                found.retract(&-both.solve(&(self.of_unseen * pull)))
+            }),
+            information: self.information,
+        }
+    }
 }
 
 impl Odometry {
-    /// What a registered scan sees. The pose is left as it was found: what holds it in directions that no plane tells of is little, and may
-    /// be right.
+    /// What a registered scan sees.
     pub(super) fn see(&self, reduced: &ReducedScan, found: &Registration) -> ScanInformation {
         if self.stands() {
             // Rings lie on rings because nothing moves: what holds the scan holds it where it is.
             return ScanInformation {
                 unseen: None,
                 lasting: found.information / self.config.correlated_scans,
+                seen_alone: None,
             };
         }
         let config = self.registration(MIN_GATE_M);
@@ -72,9 +98,15 @@ impl Odometry {
         let is_unseen = |d: &Direction| d.seen_per_m2() < least_per_m2;
         let unseen = seen.directions.iter().filter(|d| is_unseen(d));
         let worst = unseen.min_by(|a, b| a.seen_per_m2().total_cmp(&b.seen_per_m2()));
+        // In the first second scans count little in all directions, and what they do not see as much as the rest.
+        let seen_alone = worst.filter(|_| self.shared_by <= 1.0).map(|_| SeenAlone {
+            information: seen.without(&found.information, is_unseen),
+            of_unseen: seen.part(is_unseen),
+        });
         ScanInformation {
             unseen: worst.map(|d| Unseen::of(d, &found.world_from_rig)),
             lasting: seen.information_of(|d| !is_unseen(d)) / self.config.correlated_scans,
+            seen_alone,
         }
     }
 
@@ -139,5 +171,52 @@ impl Unseen {
         };
         along.fixed_rows_mut::<3>(at).copy_from(&in_rig);
         along.dot(&(covariance * along)).max(0.0).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_perception::lidar::Observability;
+
+    use super::*;
+
+    /// Naively nearest points draw the pose a little along what is not seen, with every scan, and the velocity is learned from that.
+    #[test]
+    fn what_is_not_seen_is_left_to_the_prediction() {
+        let usual_range_m = 5.0;
+        // Along z the scan seems to know something, to 5 cm.
+        let of_scan = Vector6::new(25e6, 25e6, 25e6, 1e6, 1e6, 400.0);
+        let directions = std::array::from_fn(|k| Direction {
+            along: Vector6::ith(k, 1.0),
+            information_per_m2: if k < 3 { of_scan[k] / 25.0 } else { of_scan[k] },
+            seen: 1.0,
+        });
+        let seen = Observability {
+            usual_range_m,
+            directions,
+        };
+        let is_unseen = |d: &Direction| d.seen_per_m2() < LEAST_SEEN_PER_M2;
+        let prior = PosePrior {
+            world_from_rig: Se3::exp(&Vector6::new(0.1, -0.2, 0.3, 1.0, 2.0, 3.0)),
+            information: Matrix6::identity() * 1e4,
+        };
+        // Where both are balanced, of a scan that lies that far off.
+        let by_scan = Vector6::new(0.0, 0.001, 0.0, 0.02, 0.0, 0.3);
+        let balanced = by_scan.zip_map(&of_scan, |off, of_scan| off * of_scan / (of_scan + 1e4));
+        let found = prior.world_from_rig.retract(&balanced);
+        let information = Matrix6::from_diagonal(&of_scan);
+        let seen_alone = SeenAlone {
+            information: seen.without(&information, is_unseen),
+            of_unseen: seen.part(is_unseen),
+        };
+        let estimate = seen_alone.estimate(&prior, &found);
+        let off = prior.world_from_rig.local(&estimate.world_from_rig);
+        let mut expected = balanced;
+        expected[5] = 0.0;
+        assert!((off - expected).norm() < 1e-4, "{off}");
+        assert!(off[5].abs() < 1e-4 && balanced[5] > 0.01, "{off}");
+        let mut seen = of_scan;
+        seen[5] = 0.0;
+        assert!((estimate.information - Matrix6::from_diagonal(&seen)).norm() < 1e-6);
     }
 }

@@ -305,6 +305,11 @@ impl Odometry {
                 world_from_rig: found.world_from_rig,
                 information: found.information,
             };
+            let mut pose = found.world_from_rig;
+            if let (None, Some(seen_alone)) = (&find, &seen.seen_alone) {
+                estimate = seen_alone.estimate(&self.prior(&path), &pose);
+                pose = estimate.world_from_rig;
+            }
             if let Some(find) = &find {
                 self.innovations.take(find.squared_sigmas);
                 seen.lasting = find.weakened(&seen.lasting);
@@ -313,7 +318,7 @@ impl Odometry {
                     information: find.weakened(&found.information),
                 };
             }
-            self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
+            self.correct(&mut path, &pose, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
         if outcome == StepOutcome::Lost {

@@ -7,7 +7,7 @@ use lsfb_recording::cloud::PointTimes;
 use lsfb_types::{LidarPoint, LidarScan, Stamped};
 use serde::{Deserialize, Serialize};
 
-use super::ring_order::{AzimuthProblem, azimuth_rad, times_by_ring};
+use super::ring_order::{AzimuthProblem, azimuth_rad, rings_are_cones, times_by_ring};
 use super::warning::OdometryWarning;
 
 /// A scan, and where the times of its points come from.
@@ -29,6 +29,9 @@ pub struct DeskewReport {
     /// Of the latter, those that are ordered ring by ring.
     #[serde(default)]
     pub ring_by_ring: u64,
+    /// Of those by azimuth that are in firing order, those whose points carry no numbers of rings: nothing tells whether they had been deskewed before.
+    #[serde(default)]
+    pub unnumbered: u64,
     /// Not at all: nothing says when their points were measured.
     pub none: u64,
     /// Of the latter, those whose times would have them last longer than until the scan behind them.
@@ -55,6 +58,7 @@ impl DeskewReport {
             scans: self.by_azimuth,
             of,
             ring_by_ring: self.ring_by_ring,
+            unnumbered: self.unnumbered,
         });
         not_deskewed.into_iter().chain(by_azimuth).collect()
     }
@@ -142,15 +146,22 @@ impl PointClock {
 
     fn by_azimuth(&mut self, points: &[LidarPoint], period_ns: i64) -> Option<Vec<u32>> {
         let turn_ns = turn_ns(period_ns);
-        let as_fired = times_by_azimuth(points, turn_ns);
-        if as_fired.is_some() {
-            return as_fired;
-        }
-        match times_by_ring(points, turn_ns) {
-            Ok(times_ns) => {
-                self.report.ring_by_ring += 1;
-                Some(times_ns)
+        let times_ns = match times_by_azimuth(points, turn_ns) {
+            Some(times_ns) => match rings_are_cones(points) {
+                Some(false) => Err(AzimuthProblem::Moved),
+                told => {
+                    self.report.unnumbered += u64::from(told.is_none());
+                    Ok(times_ns)
+                }
+            },
+            None => {
+                let times_ns = times_by_ring(points, turn_ns);
+                self.report.ring_by_ring += u64::from(times_ns.is_ok());
+                times_ns
             }
+        };
+        match times_ns {
+            Ok(times_ns) => Some(times_ns),
             Err(problem) => {
                 self.report.azimuths.get_or_insert(problem);
                 None
@@ -289,11 +300,47 @@ mod tests {
             );
         }
         assert_eq!((report.ring_by_ring, report.azimuths), (0, None));
+        assert_eq!(report.unnumbered, 4);
+        let said = report.warnings()[0].finding().what;
+        assert!(said.contains("nothing tells whether"), "{said}");
         let (times, report) = with(1.0);
         assert_eq!((times[500], report.by_azimuth, report.none), (0, 0, 4));
         assert_eq!(report.azimuths, Some(AzimuthProblem::Order));
         let said = report.warnings()[0].finding().what;
         assert!(said.contains("neither in firing order nor ring"), "{said}");
+    }
+
+    /// In firing order a cloud that was deskewed already was deskewed once more.
+    #[test]
+    fn scans_in_firing_order_that_were_deskewed_are_not_deskewed_again() {
+        // 16 rings of numbers and elevations of their own, as fired, and after a carrier pitched by so much per turn.
+        let fired = |tenths: i64, pitched_rad: f32| {
+            let mut scan = turn(tenths, -1.0, |_| 0);
+            scan.times = PointTimes::Absent;
+            for (k, point) in scan.scan.sample.points.iter_mut().enumerate() {
+                point.ring = (k % 16) as u16;
+                let [x, y, _] = point.position_m;
+                let z = 5.0 * (2.0 * f32::from(point.ring) - 15.0).to_radians().tan();
+                let (sin, cos) = (pitched_rad * k as f32 / 1000.0).sin_cos();
+                point.position_m = [cos * x + sin * z, y, cos * z - sin * x];
+            }
+            scan
+        };
+        let report_of = |pitched_rad| {
+            let mut clock = PointClock {
+                azimuths_are_times: true,
+                ..PointClock::default()
+            };
+            run(&mut clock, (0..4).map(|i| fired(i, pitched_rad)));
+            clock.report
+        };
+        let raw = report_of(0.0);
+        assert_eq!((raw.by_azimuth, raw.unnumbered, raw.azimuths), (4, 0, None));
+        let said = raw.warnings()[0].finding().what;
+        assert!(!said.contains("nothing tells"), "{said}");
+        let deskewed = report_of(0.03);
+        assert_eq!((deskewed.by_azimuth, deskewed.none), (0, 4));
+        assert_eq!(deskewed.azimuths, Some(AzimuthProblem::Moved));
     }
 
     /// Of scans thinned out to one in five seconds a turn was taken to last five seconds.

@@ -1,4 +1,4 @@
-//! Times by azimuth of clouds that are ordered ring by ring.
+//! Times by azimuth of clouds that are ordered ring by ring, and whether rings are what a sensor saw.
 //!
 //! A cloud in firing order shows in it when its turn began. Ring by ring it shows that only where all rings begin at one azimuth, and where that is
 //! not where sorting by angle would begin them too. And what was deskewed since is no turn any more: then its rings are not at one elevation each,
@@ -21,10 +21,15 @@ const MAX_SHORT_RAD: f64 = 0.02;
 const MAX_LONG_RAD: f64 = 0.002;
 /// Azimuths of a ring that go back by no more are rounded, radians.
 const MAX_BACK_RAD: f64 = 1e-4;
-/// A ring is a cone: its points are at one elevation, but for so much, radians, and for the height of its laser above or below the others', metres.
+/// A ring is a cone: its points are on it, but for so much, radians, and metres near to it.
 const MAX_OFF_CONE_RAD: f64 = 0.0026;
-const LASER_HEIGHT_M: f64 = 0.02;
-/// Share of the points that must be on theirs.
+const LASER_OFF_M: f64 = 0.02;
+/// Lasers are at most so far above or below the origin of their cloud (an Ouster's are 36 mm above that of its base), metres.
+const MAX_APEX_M: f64 = 0.1;
+/// Times that a cone is laid through the points that are on it.
+const CONE_ROUNDS: usize = 2;
+/// Share of the points that must be on theirs. Right clouds of five sensors: all of them; what was deskewed over a step of 12 cm and half a degree: nine
+/// tenths and less, but in a narrow room.
 const MIN_ON_CONES: f64 = 0.95;
 /// Sorting by angle begins at one of the axes, and the first point lies so near to it, radians.
 const NEAR_AXIS_RAD: f64 = 0.01;
@@ -115,7 +120,7 @@ pub(super) fn times_by_ring(
     let rings = rings.ok_or(AzimuthProblem::Order)?;
     let span_rad = rings.iter().map(Ring::span_rad).fold(0.0, f64::max);
     let is_turn = (TAU - MAX_SHORT_RAD..=TAU + MAX_LONG_RAD).contains(&span_rad);
-    if !is_turn || !are_cones(&rings, points) {
+    if !is_turn || !are_cones(rings.iter().map(|ring| ring.points.as_slice()), points) {
         return Err(AzimuthProblem::Moved);
     }
     let start_rad = start_rad(&rings).ok_or(AzimuthProblem::Start)?;
@@ -140,14 +145,29 @@ pub(super) fn times_by_ring(
     Ok(times_ns)
 }
 
+/// Whether the rings of a cloud in firing order are at one elevation each, as a sensor sees them and a cloud that was deskewed does not show them. `None`
+/// where points carry no numbers of rings: nothing tells then.
+pub(super) fn rings_are_cones(points: &[LidarPoint]) -> Option<bool> {
+    let rings = numbered(points)?;
+    Some(are_cones(rings.iter().map(Vec::as_slice), points))
+}
+
+/// The rings by the numbers of their points; `None` where they carry none.
+fn numbered(points: &[LidarPoint]) -> Option<Vec<Vec<usize>>> {
+    if points.iter().all(|p| p.ring == 0) {
+        return None;
+    }
+    let mut rings: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
+    for (index, point) in points.iter().enumerate() {
+        rings.entry(point.ring).or_default().push(index);
+    }
+    Some(rings.into_values().collect())
+}
+
 /// The rings, by the numbers of their points where they carry any, else by where the elevation jumps.
 fn split(points: &[LidarPoint]) -> Vec<Vec<usize>> {
-    if points.iter().any(|p| p.ring > 0) {
-        let mut rings: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-        for (index, point) in points.iter().enumerate() {
-            rings.entry(point.ring).or_default().push(index);
-        }
-        return rings.into_values().collect();
+    if let Some(rings) = numbered(points) {
+        return rings;
     }
     let mut rings: Vec<Vec<usize>> = Vec::new();
     let mut last_rad = f64::INFINITY;
@@ -173,28 +193,82 @@ fn elevation_rad(point: &LidarPoint) -> f64 {
     z.atan2(x.hypot(y))
 }
 
-/// How far a point may be off the cone of its ring.
-fn off_cone_rad(point: &LidarPoint) -> f64 {
-    let [x, y, z] = point.position_m.map(f64::from);
-    MAX_OFF_CONE_RAD + LASER_HEIGHT_M / x.hypot(y).hypot(z).max(LASER_HEIGHT_M)
-}
-
-/// Whether the points of each ring are at one elevation: a carrier that sways, or passes what is near, spoils that in clouds that were deskewed.
-fn are_cones(rings: &[Ring], points: &[LidarPoint]) -> bool {
+/// Whether the points of each ring are on one cone: a carrier that sways, or passes what is near, spoils that in clouds that were deskewed.
+fn are_cones<'a>(rings: impl Iterator<Item = &'a [usize]>, points: &[LidarPoint]) -> bool {
     let (mut on, mut all) = (0, 0);
     for ring in rings {
-        let of_ring = ring.points.iter().filter_map(|i| points.get(*i));
-        let of_ring: Vec<_> = of_ring
-            .map(|p| (elevation_rad(p), off_cone_rad(p)))
-            .collect();
-        let mut sorted: Vec<f64> = of_ring.iter().map(|(elevation, _)| *elevation).collect();
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let is_on = |(elevation, limit): &&(f64, f64)| (elevation - median).abs() < *limit;
-        on += of_ring.iter().filter(is_on).count();
-        all += of_ring.len();
+        let of_ring = ring.iter().filter_map(|i| points.get(*i));
+        let profile: Vec<Profile> = of_ring.filter_map(Profile::of).collect();
+        on += Cone::of(&profile).count(&profile);
+        all += profile.len();
     }
     on as f64 >= MIN_ON_CONES * all as f64
+}
+
+/// A point as seen from the side, metres.
+#[derive(Clone, Copy)]
+struct Profile {
+    horizontal_m: f64,
+    up_m: f64,
+    range_m: f64,
+}
+
+impl Profile {
+    /// `None` of points that are too near to tell, as those of returns that are missing.
+    fn of(point: &LidarPoint) -> Option<Self> {
+        azimuth_rad(point)?;
+        let [x, y, z] = point.position_m.map(f64::from);
+        Some(Self {
+            horizontal_m: x.hypot(y),
+            up_m: z,
+            range_m: x.hypot(y).hypot(z),
+        })
+    }
+}
+
+/// What the rays of a laser sweep, about the vertical.
+#[derive(Clone, Copy)]
+struct Cone {
+    /// Where it begins: the origin of a cloud is not always where its lasers are.
+    apex_m: f64,
+    slope: f64,
+}
+
+impl Cone {
+    /// By least squares of angles; points that are off it count for nothing the next time.
+    fn of(profile: &[Profile]) -> Self {
+        let mut cone = Self::among(profile, |_| true);
+        for _ in 0..CONE_ROUNDS {
+            cone = Self::among(profile, |point| cone.has(point));
+        }
+        cone
+    }
+
+    fn among(profile: &[Profile], counts: impl Fn(&Profile) -> bool) -> Self {
+        let weighted = || {
+            let counted = profile.iter().filter(|point| counts(point));
+            counted.map(|p| (p.range_m.powi(-2), p.horizontal_m, p.up_m))
+        };
+        let sum = |of: fn(f64, f64) -> f64| weighted().map(|(w, h, u)| w * of(h, u)).sum::<f64>();
+        let (w, h, u) = (sum(|_, _| 1.0), sum(|h, _| h), sum(|_, u| u));
+        let (hh, hu) = (sum(|h, _| h * h), sum(|h, u| h * u));
+        // At one distance all heights of the apex are as good.
+        let of_line = (u * hh - h * hu) / (w * hh - h * h).max(f64::MIN_POSITIVE);
+        let apex_m = of_line.clamp(-MAX_APEX_M, MAX_APEX_M);
+        Self {
+            apex_m,
+            slope: (hu - apex_m * h) / hh.max(f64::MIN_POSITIVE),
+        }
+    }
+
+    fn has(&self, point: &Profile) -> bool {
+        let off_m = (point.up_m - self.apex_m - self.slope * point.horizontal_m).abs();
+        off_m / self.slope.hypot(1.0) < MAX_OFF_CONE_RAD * point.range_m + LASER_OFF_M
+    }
+
+    fn count(&self, profile: &[Profile]) -> usize {
+        profile.iter().filter(|point| self.has(point)).count()
+    }
 }
 
 /// Where the first of the rings begin, clockwise, radians; `None` where less than half of them begin near to one azimuth.
@@ -264,6 +338,23 @@ mod tests {
                 assert!(found.abs_diff(*expected) < 50_000, "{expected} {found}");
             }
         }
+    }
+
+    /// An Ouster's cloud in the frame of its base, 36 mm below its lasers, was taken for one that was deskewed.
+    #[test]
+    fn rings_whose_lasers_are_not_at_the_origin_are_cones() {
+        let mut cloud = cloud(2.0, true);
+        for (point, _) in &mut cloud {
+            point.position_m[2] += 0.036;
+        }
+        assert!(times(&cloud).is_ok());
+        // Returns that are missing.
+        let points = cloud.iter().map(|(point, _)| *point);
+        let mut points: Vec<LidarPoint> = points.collect();
+        for point in points.iter_mut().step_by(5) {
+            point.position_m = [0.0; 3];
+        }
+        assert_eq!(rings_are_cones(&points), Some(true));
     }
 
     /// Naively each of these was given times: half a turn off, or over motion that was undone already.

@@ -142,6 +142,9 @@ pub enum OdometryWarning {
         /// Of the former, those that are ordered ring by ring.
         #[serde(default)]
         ring_by_ring: u64,
+        /// Of those in firing order, those of which nothing tells whether they had been deskewed before.
+        #[serde(default)]
+        unnumbered: u64,
     },
     /// The accelerometer measures in units of gravity.
     AccelerometerInGravities,
@@ -352,9 +355,10 @@ impl OdometryWarning {
                 scans,
                 of: all,
                 ring_by_ring,
+                unnumbered,
             } => of(
                 "deskewed-by-azimuth",
-                by_azimuth(*scans, *all, *ring_by_ring),
+                by_azimuth(*scans, *all, *ring_by_ring, *unnumbered),
             )
             .value(*scans as f64, ""),
             Self::AccelerometerInGravities => of(
@@ -569,9 +573,9 @@ fn about_azimuths(problem: Option<AzimuthProblem>) -> String {
     })
 }
 
-fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64) -> String {
+fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64, unnumbered: u64) -> String {
     let these = format!("{scans} of {of} scans were deskewed by azimuth, which assumes that");
-    match ring_by_ring {
+    let order = match ring_by_ring {
         0 => format!("{these} their points are in firing order"),
         n if n == scans => format!(
             "{these} their rings, which follow one another, all begin with the turn of the sensor"
@@ -579,7 +583,17 @@ fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64) -> String {
         n => format!(
             "{these} their points are in firing order, or, in {n} of them, that all rings begin with the turn of the sensor"
         ),
+    };
+    if unnumbered == 0 {
+        return order;
     }
+    let whose = match unnumbered {
+        n if n == scans => "their points carry".to_owned(),
+        n => format!("points of {n} of them carry"),
+    };
+    format!(
+        "{order}; {whose} no ring numbers, so nothing tells whether they had been deskewed already"
+    )
 }
 
 #[cfg(test)]

@@ -450,6 +450,9 @@ fn about_odometry(odometry: &LiveOdometryReport) -> String {
         "{} scans registered, {} lost; poses after {:.0} ms (median), {:.0} ms (99 %)",
         odometry.registered, odometry.lost, odometry.latency_p50_ms, odometry.latency_p99_ms
     );
+    if let Some(loops) = odometry.loops.filter(|loops| *loops > 0) {
+        let _ = write!(out, "; {loops} loops");
+    }
     for (count, what) in [
         (odometry.skipped_scans, "scans"),
         (odometry.skipped_imu_samples, "IMU samples"),

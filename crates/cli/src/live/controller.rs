@@ -7,14 +7,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use lsfb_capture::{CaptureReport, Tapped};
-use lsfb_geometry::{Rig, Vector3};
+use lsfb_geometry::{Rig, Se3, Vector3};
 use lsfb_operator::{
-    Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
-    Tracking, Viewer, terminal,
+    Command, ControlPoint, Level, LiveMap, LoopState, MapConfig, Phase, Preview, Request,
+    ScreenState, Tracking, Viewer, terminal,
 };
+use lsfb_pipeline::loops::OnlineLoop;
 use lsfb_pipeline::odometry::StepOutcome;
 
 use super::host;
+use super::loops::LoopsThread;
 use super::odometry::{LiveStep, OdometryThread};
 use super::running::{Running, host_now, position};
 use super::unseen::sentence_of;
@@ -125,13 +127,23 @@ impl Controller {
             self.state.message_level = Level::Warning;
             None
         });
+        let loops = run
+            .rig
+            .as_ref()
+            .filter(|_| odometry.is_some() && self.outputs.show_map())
+            .map_or(Ok(None), LoopsThread::start);
+        let loops = loops.unwrap_or_else(|error| {
+            self.state.message = format!("Loops are not looked for: {}", sentence(&error));
+            self.state.message_level = Level::Warning;
+            None
+        });
         if let Some(screen) = &self.outputs.screen {
             screen.clear_previews();
         }
         if let Some(rig) = &run.rig {
             self.outputs.send_rig(rig, host_now());
         }
-        self.running = Some(Running::new(run, odometry));
+        self.running = Some(Running::new(run, odometry, loops));
     }
 
     fn end(&mut self, outcome: Result<Box<CaptureReport>, String>) {
@@ -268,9 +280,31 @@ impl Controller {
         while let Some(step) = odometry.next_step() {
             steps.push(step);
         }
-        for step in steps {
-            self.take_step(&step);
+        for live in steps {
+            self.take_step(&live);
+            if let Some(loops) = self.running.as_mut().and_then(|r| r.loops.as_mut()) {
+                loops.push(live.step);
+            }
         }
+        let loops = self.running.as_ref().and_then(|r| r.loops.as_ref());
+        let next = || loops.and_then(LoopsThread::next_loop);
+        let found: Vec<OnlineLoop> = std::iter::from_fn(next).collect();
+        for found in found {
+            self.take_loop(&found);
+        }
+    }
+
+    fn take_loop(&mut self, found: &OnlineLoop) {
+        if let Some(running) = &mut self.running {
+            running.following.loops += 1;
+        }
+        let place = |pose: &Se3| [pose.translation.x, pose.translation.y];
+        self.state.take_loop(LoopState {
+            earlier_m: place(&found.world_from_earlier),
+            later_m: place(&found.world_from_later),
+            off_m: found.off_m,
+        });
+        self.outputs.send_loop(found);
     }
 
     fn take_step(&mut self, live: &LiveStep) {
@@ -287,6 +321,7 @@ impl Controller {
         };
         if step.begins_again() {
             self.map.begin_again();
+            self.state.forget_loops();
         }
         for placed in step.placed() {
             let points = &placed.keypoints_in_rig;
@@ -394,6 +429,8 @@ fn viewers(rig: &Rig) -> Vec<Viewer> {
 mod tests {
     use std::sync::mpsc::sync_channel;
 
+    use lsfb_pipeline::loops::{Loop, LoopScores, LoopVerdict};
+
     use super::super::odometry::tests::live;
     use super::*;
 
@@ -414,6 +451,40 @@ mod tests {
             power_supplies: PathBuf::new(),
         };
         Controller::new(outputs, channels)
+    }
+
+    /// A place that was recognised was said nowhere while one walked.
+    #[test]
+    fn loops_are_shown_until_the_walk_begins_again() {
+        let mut controller = controller();
+        let at = |x_m: f64| Se3 {
+            translation: Vector3::new(x_m, 2.0, 1.0),
+            ..Se3::identity()
+        };
+        let now = Instant::now();
+        let step = live(99, StepOutcome::First, now).step;
+        for k in 0..30 {
+            controller.take_loop(&OnlineLoop {
+                found: Loop {
+                    earlier: step.time,
+                    later: step.time,
+                    verdict: LoopVerdict::Accepted,
+                    scores: LoopScores::default(),
+                    measured: None,
+                },
+                world_from_earlier: at(0.0),
+                world_from_later: at(f64::from(k)),
+                off_m: 0.1,
+            });
+        }
+        assert_eq!(controller.state.loop_count, 30);
+        let last = controller.state.loops.last().expect("a loop");
+        assert_eq!((last.earlier_m, last.later_m), ([0.0, 2.0], [29.0, 2.0]));
+        // What is sent five times a second stays small.
+        assert!(controller.state.loops.len() <= 20);
+        controller.take_step(&live(99, StepOutcome::First, now));
+        assert_eq!(controller.state.loop_count, 0);
+        assert!(controller.state.loops.is_empty());
     }
 
     /// The rig moves a metre per millisecond. Predictions of lost scans grew the path, and steps that came anew did not replace it.

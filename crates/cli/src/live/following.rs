@@ -21,6 +21,9 @@ pub struct LiveOdometryReport {
     pub registered: u64,
     /// Scans that found none.
     pub lost: u64,
+    /// Places that the walk came back to and that were recognised; absent where nobody looked, as they are looked for to be shown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loops: Option<u64>,
     /// Scans that it was not given because it was behind.
     pub skipped_scans: u64,
     /// Inertial samples that it was not given because it was behind.
@@ -38,6 +41,8 @@ pub struct LiveOdometryReport {
 pub struct Following {
     registered: u64,
     lost: u64,
+    /// Places that were recognised.
+    pub loops: u64,
     latencies: Latencies,
     /// When a scan was registered last.
     registered_at: Option<Instant>,
@@ -59,6 +64,7 @@ impl Following {
             // Scans before those that come anew have no place in the walk.
             let before = self.registered + self.lost;
             (self.registered, self.lost) = (0, before.saturating_sub(step.anew.len() as u64));
+            self.loops = 0;
         }
         let placed = step.placed().count() as u64;
         self.registered += placed;

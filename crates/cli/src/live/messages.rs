@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use lsfb_capture::Tapped;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_operator::LiveMessage;
+use lsfb_pipeline::loops::OnlineLoop;
 use lsfb_pipeline::odometry::{MotionKind, OdometryStep, StepOutcome};
 use lsfb_recording::message::{self, Schema, StaticTransform};
 use lsfb_recording::{ODOM_FRAME, TF};
@@ -135,6 +136,20 @@ impl Outputs {
                 message::encode_camera_info(now, name, &camera.camera),
             );
         }
+    }
+
+    /// Shows that a place was recognised.
+    pub fn send_loop(&self, found: &OnlineLoop) {
+        #[cfg(feature = "view")]
+        if let Some(rerun) = &self.rerun {
+            rerun.found_loop(
+                found.found.later,
+                &found.world_from_earlier.translation,
+                &found.world_from_later.translation,
+            );
+        }
+        #[cfg(not(feature = "view"))]
+        let _ = found;
     }
 
     /// Shows where the rig is, and what the LiDAR saw there. Of a scan that found no place nothing is known.

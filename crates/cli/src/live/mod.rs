@@ -1,11 +1,12 @@
 //! What is shown while scanning: the operator's screen, the terminal, Foxglove and Rerun, all fed by the recorder's tap.
 //!
-//! One thread, the controller, reads the tap and answers the operator; one more runs the online odometry. Neither is waited
+//! One thread, the controller, reads the tap and answers the operator; one more runs the online odometry, and one looks for loops. None is waited
 //! for by the recorder: what they are too slow for is recorded without being shown.
 
 mod controller;
 mod following;
 mod host;
+mod loops;
 mod messages;
 mod odometry;
 mod running;

@@ -15,6 +15,7 @@ use lsfb_types::Timestamp;
 
 use super::Run;
 use super::following::{Following, LiveOdometryReport};
+use super::loops::LoopsThread;
 use super::odometry::OdometryThread;
 use super::streams::Streams;
 
@@ -30,6 +31,8 @@ pub struct Running {
     pub began: Instant,
     pub streams: Streams,
     pub odometry: Option<OdometryThread>,
+    /// Beside the odometry.
+    pub loops: Option<LoopsThread>,
     /// Whose scans and whose samples it takes.
     main_lidar: String,
     main_imu: String,
@@ -47,7 +50,7 @@ pub struct Running {
 
 impl Running {
     /// A recording that begins.
-    pub fn new(run: Run, odometry: Option<OdometryThread>) -> Self {
+    pub fn new(run: Run, odometry: Option<OdometryThread>, loops: Option<LoopsThread>) -> Self {
         let rig = run.rig.as_ref();
         let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
         // As the rig chooses its own.
@@ -64,6 +67,7 @@ impl Running {
             stop: run.stop,
             began: Instant::now(),
             odometry,
+            loops,
             poses: run.poses,
             clock: None,
             cameras_sent: BTreeMap::new(),
@@ -120,6 +124,7 @@ impl Running {
     pub fn odometry_report(&self) -> Option<LiveOdometryReport> {
         let skipped = self.odometry.as_ref()?.skipped();
         Some(LiveOdometryReport {
+            loops: self.loops.as_ref().map(|_| self.following.loops),
             skipped_scans: skipped.scans,
             skipped_imu_samples: skipped.imu_samples,
             missed_by_tap: self.tap.missed(),

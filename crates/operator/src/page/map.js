@@ -3,6 +3,7 @@
 const TILE = 256;
 const SHADES = ["#dcdcdc", "#000000", "#ff7a00"];
 const HERE = "#0046d6";
+const LOOP = "#00813e";
 // How far the line along an unseen motion reaches to each side.
 const UNSEEN_M = 6;
 const FOLLOW_M = 9;
@@ -19,6 +20,7 @@ export class MapView {
     this.goBack = [];
     this.points = [];
     this.unseen = null;
+    this.loops = [];
     this.forget();
     this.view = { x: 0, y: 0, mPerPx: 0.05 };
     this.pointers = new Map();
@@ -79,7 +81,8 @@ export class MapView {
     b.bottom = Math.min(b.bottom, my); b.top = Math.max(b.top, my + this.cellM);
   }
 
-  state(pose, goBack, points, unseen) {
+  state(pose, goBack, points, unseen, loops) {
+    this.loops = loops;
     this.unseen = unseen;
     this.pose = pose;
     this.goBack = goBack;
@@ -172,6 +175,7 @@ export class MapView {
       c.drawImage(tile.canvas, left, top, size, size);
     }
     this.drawPath(c, px);
+    for (const found of this.loops) this.drawLoop(c, px(...found.earlier_m), px(...found.later_m));
     this.goBack.forEach((spot, i) => this.drawSpot(c, px(spot.x_m, spot.y_m), i + 1));
     for (const point of this.points) {
       if (point.position_m) this.drawPoint(c, px(point.position_m[0], point.position_m[1]), point.name);
@@ -188,6 +192,14 @@ export class MapView {
     c.lineJoin = c.lineCap = "round";
     c.strokeStyle = "#fff"; c.lineWidth = 7; c.stroke();
     c.strokeStyle = HERE; c.lineWidth = 4; c.stroke();
+  }
+
+  /// Two visits of a place that was recognised.
+  drawLoop(c, [ex, ey], [lx, ly]) {
+    c.beginPath(); c.moveTo(ex, ey); c.lineTo(lx, ly);
+    for (const [sx, sy] of [[ex, ey], [lx, ly]]) { c.moveTo(sx + 7, sy); c.arc(sx, sy, 7, 0, 2 * Math.PI); }
+    c.strokeStyle = "#fff"; c.lineWidth = 7; c.stroke();
+    c.strokeStyle = LOOP; c.lineWidth = 4; c.stroke();
   }
 
   /// The line along which scans do not see how far the rig has moved.

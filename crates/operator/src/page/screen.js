@@ -127,7 +127,17 @@ function show(next) {
   $("covered").textContent = seen_m2 > 0 ? `${Math.round((100 * good_m2) / seen_m2)} % well covered` : "";
   // They are recorded; the map lacks them.
   $("skipped").textContent = state.skipped_scans > 0 ? `${count(state.skipped_scans)} scans skipped` : "";
-  map.state(state.pose, state.coverage.go_back, state.control_points, state.unseen);
+  showLoops();
+  map.state(state.pose, state.coverage.go_back, state.control_points, state.unseen, state.loops);
+}
+
+let loopsShown = 0;
+function showLoops() {
+  const { loop_count: found, loops } = state;
+  $("loops").textContent = found > 0 ? `${count(found)} ${found === 1 ? "loop" : "loops"}` : "";
+  // Nothing moves: the map is put right at home.
+  if (found > loopsShown && loops.length > 0) toast(`Place recognised: the live map is ${length(loops.at(-1).off_m)} off here`, "good");
+  loopsShown = found;
 }
 
 function tile(id, level, value, small) {
@@ -217,6 +227,10 @@ function roughly(secs) {
   if (minutes >= 6000) return ">99 h";
   if (minutes >= 60) return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")}`;
   return `${minutes} min`;
+}
+
+function length(m) {
+  return m < 1 ? `${(100 * m).toFixed(0)} cm` : `${m.toFixed(1)} m`;
 }
 
 function duration(ms) {

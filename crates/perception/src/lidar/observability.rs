@@ -55,6 +55,26 @@ impl Observability {
         scale * terms.sum::<Matrix6<f64>>() * scale
     }
 
+    /// Information on `[rotation, translation]` of any kind, without what it has of the directions that `drop` picks.
+    pub fn without(
+        &self,
+        information: &Matrix6<f64>,
+        drop: impl Fn(&Direction) -> bool,
+    ) -> Matrix6<f64> {
+        let kept = Matrix6::identity() - self.part(drop);
+        kept * information * kept.transpose()
+    }
+
+    /// Takes a gradient by `[rotation, translation]` to its part along the directions that `keep` picks.
+    pub fn part(&self, keep: impl Fn(&Direction) -> bool) -> Matrix6<f64> {
+        let kept = self.directions.iter().filter(|d| keep(d));
+        let kept: Matrix6<f64> = kept.map(|d| d.along * d.along.transpose()).sum();
+        let metres = self.metres_per_unit();
+        let to_metres = Matrix6::from_diagonal(&metres);
+        let from_metres = Matrix6::from_diagonal(&metres.map(f64::recip));
+        to_metres * kept * from_metres
+    }
+
     /// Factors from `[rotation, translation]` to metres.
     fn metres_per_unit(&self) -> Vector6<f64> {
         let r = self.usual_range_m;

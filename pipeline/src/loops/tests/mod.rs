@@ -4,6 +4,7 @@ mod circuit;
 mod corridor;
 mod floors;
 mod list;
+mod online;
 
 use lsfb_geometry::{Matrix6, RigLidar, Se3, StampedPose, Trajectory, Vector3, Vector6};
 use lsfb_perception::lidar::voxel_downsample;

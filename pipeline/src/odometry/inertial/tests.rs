@@ -1,6 +1,7 @@
 use super::*;
 use lsfb_geometry::UnitQuaternion;
 use lsfb_types::ImuSample;
+use rand::{RngExt, SeedableRng};
 
 const NOISE: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1e-4,
@@ -146,4 +147,61 @@ fn poses_teach_the_accelerometer_bias() {
     // The length of gravity is known to a centimetre per second squared: the rest is bias.
     assert!((state.accel_bias_m_s2.z - 0.05).abs() < 0.005, "{state:?}");
     assert!(state.velocity_m_s.norm() < 2e-3, "{state:?}");
+}
+
+/// Who stands sways: by a milliradian and more, slowly, and no scatter of the gyroscope shows it. What is stated of a turn after a second and a half of standing
+/// and a second of motion is right for such people; told by the scatter, or by the gyroscope's noise, it would be too little.
+#[test]
+fn turns_are_known_as_well_as_people_stand() {
+    const SWAY_RAD: f64 = 1e-3;
+    const SWAY_RAD_S: f64 = std::f64::consts::TAU * 0.4;
+    const RATE_HZ: i64 = 200;
+    let noise = ImuNoiseModel {
+        gyro_noise_density: 5.2e-4,
+        ..NOISE
+    };
+    let ms = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    let draws = 60;
+    let mut squared_sigmas = Vec::new();
+    for _ in 0..draws {
+        let phase = Vector3::from_fn(|_, _| rng.random_range(0.0..std::f64::consts::TAU));
+        let swayed = |t: f64| phase.map(|p| SWAY_RAD * (SWAY_RAD_S * t + p).sin());
+        let mut gaussian = || -> f64 {
+            let (u, v): (f64, f64) = (rng.random(), rng.random());
+            (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        };
+        let white = noise.gyro_noise_density * (RATE_HZ as f64).sqrt();
+        let bias = Vector3::from_fn(|_, _| 0.003 * gaussian());
+        let mut samples = at_rest(&UnitQuaternion::identity(), [0.0; 3]);
+        samples.extend(samples.clone().into_iter().map(|mut s| {
+            s.time = s.time.plus_nanos(2_000_000_000);
+            s
+        }));
+        for s in &mut samples {
+            let t = s.time.secs_since(ms(0));
+            let rate = match t < 1.5 {
+                true => phase.map(|p| SWAY_RAD * SWAY_RAD_S * (SWAY_RAD_S * t + p).cos()),
+                false => Vector3::z() * 0.5,
+            };
+            let measured = rate + bias + Vector3::from_fn(|_, _| white * gaussian());
+            s.sample.angular_velocity_rad_s = measured.into();
+        }
+        let mut filter = InertialFilter::start(&samples[..21], ms(0), &noise).expect("samples");
+        filter.predict(&samples, ms(100));
+        filter.become_origin();
+        let begun = filter.state().world_from_rig.rotation;
+        filter.predict(&samples, ms(2500));
+        assert!(!filter.stands());
+        let turned = begun.inverse() * filter.state().world_from_rig.rotation;
+        let truth = so3::exp(&(swayed(1.5) - swayed(0.1))) * so3::exp(&(Vector3::z() * 0.5));
+        let off = so3::log(&(turned.inverse() * truth));
+        let covariance: Matrix3<f64> = filter.reported_covariance().fixed_view::<3, 3>(0, 0).into();
+        squared_sigmas.push(off.dot(&covariance.cholesky().expect("known").solve(&off)));
+    }
+    // χ² of three numbers.
+    let within = squared_sigmas.iter().filter(|s| **s < 7.815).count();
+    let mean = squared_sigmas.iter().sum::<f64>() / f64::from(draws);
+    assert!(within >= 54, "{within} of {draws}, NEES {mean:.1} of 3");
+    assert!(mean > 2.0, "{within} of {draws}, NEES {mean:.1} of 3");
 }

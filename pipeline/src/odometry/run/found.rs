@@ -85,13 +85,7 @@ impl Found {
         }
         self.report.registered += 1;
         self.unseen.take(&step);
-        self.scan_poses.push(ScanPose {
-            pose: StampedPose {
-                time: step.time,
-                world_from_rig: step.world_from_rig,
-            },
-            covariance: step.covariance,
-        });
+        self.scan_poses.push(ScanPose::of(&step));
         if step.outcome == StepOutcome::Registered {
             self.by_scans.push(StampedPose {
                 time: step.time,
@@ -104,13 +98,7 @@ impl Found {
             self.agreed.push((step.time, step.inlier_ratio));
             self.plane_squares += step.plane_rms_m * step.plane_rms_m;
         }
-        let points = step.keypoints_in_rig.iter();
-        self.clouds.push(DeskewedCloud {
-            time: step.time,
-            points_in_rig: points
-                .map(|p| [p.x as f32, p.y as f32, p.z as f32])
-                .collect(),
-        });
+        self.clouds.push(DeskewedCloud::of(&step));
         // After a gap only the pose of the scan itself is more than a prediction.
         let gap = std::mem::take(&mut self.report.lost_at_end) > 0;
         let known = if gap {

@@ -21,7 +21,7 @@ use super::point_clock::{PointClock, TimedScan};
 use super::range_check::RangeCheck;
 use super::report::OdometryReport;
 use super::warning::OdometryWarning;
-use super::{Odometry, OdometryConfig};
+use super::{Odometry, OdometryConfig, OdometryStep};
 use crate::Error;
 use crate::read_ahead::read_ahead;
 use crate::worst_sigma::worst_sigmas;
@@ -121,10 +121,34 @@ impl OdometryResult {
 }
 
 impl ScanPose {
+    /// Of a scan that found its place.
+    pub(crate) fn of(step: &OdometryStep) -> Self {
+        Self {
+            pose: StampedPose {
+                time: step.time,
+                world_from_rig: step.world_from_rig,
+            },
+            covariance: step.covariance,
+        }
+    }
+
     /// Standard deviation of the place in its worst direction, metres.
     fn worst_sigma_m(&self) -> f64 {
         let [_, place_m] = worst_sigmas(&self.covariance);
         place_m
+    }
+}
+
+impl DeskewedCloud {
+    /// Of a scan that found its place.
+    pub(crate) fn of(step: &OdometryStep) -> Self {
+        let points = step.keypoints_in_rig.iter();
+        Self {
+            time: step.time,
+            points_in_rig: points
+                .map(|p| [p.x as f32, p.y as f32, p.z as f32])
+                .collect(),
+        }
     }
 }
 

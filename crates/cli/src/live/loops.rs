@@ -1,0 +1,99 @@
+//! The thread that looks for places that the walk comes back to.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use anyhow::Context as _;
+use lsfb_geometry::Rig;
+use lsfb_pipeline::loops::{OnlineLoop, OnlineLoops};
+use lsfb_pipeline::odometry::{OdometryConfig, OdometryStep};
+
+/// Scans that wait while one is looked for: some seconds. What comes then is passed over, and loops are sought among the rest.
+const QUEUE_STEPS: usize = 64;
+/// Loops that wait.
+const QUEUE_LOOPS: usize = 64;
+
+struct Work {
+    step: OdometryStep,
+    /// Whether the walk began again since the step before.
+    begins_again: bool,
+}
+
+/// Looks for loops of one recording, beside the odometry.
+pub struct LoopsThread {
+    work: SyncSender<Work>,
+    found: Receiver<OnlineLoop>,
+    begins_again: bool,
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl LoopsThread {
+    /// Starts it for a rig with a LiDAR; `None` without one.
+    pub fn start(rig: &Rig) -> anyhow::Result<Option<Self>> {
+        let Some(lidar) = rig.lidar() else {
+            return Ok(None);
+        };
+        let mut loops = OnlineLoops::new(&OdometryConfig::default(), lidar)?;
+        let (work, waiting) = sync_channel::<Work>(QUEUE_STEPS);
+        let (done, found) = sync_channel(QUEUE_LOOPS);
+        let end = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&end);
+        let run = move || {
+            for work in waiting {
+                if ends.load(Ordering::Relaxed) {
+                    return;
+                }
+                if work.begins_again {
+                    loops.begin_again();
+                }
+                // A graph that cannot be solved tells of no loop; the next scan has another.
+                for found in loops.push(&work.step).unwrap_or_default() {
+                    if done.send(found).is_err() {
+                        return;
+                    }
+                }
+            }
+        };
+        let thread = std::thread::Builder::new()
+            .name("live-loops".to_owned())
+            .spawn(run)
+            .context("cannot start the thread that looks for loops")?;
+        Ok(Some(Self {
+            work,
+            found,
+            begins_again: false,
+            end,
+            thread: Some(thread),
+        }))
+    }
+
+    /// Takes what a scan gave, or passes it over where there is too much to look at.
+    pub fn push(&mut self, step: OdometryStep) {
+        let begins_again = step.begins_again() || self.begins_again;
+        let sent = self.work.try_send(Work { step, begins_again });
+        self.begins_again = begins_again && sent.is_err();
+    }
+
+    /// The next loop, if there is one.
+    pub fn next_loop(&self) -> Option<OnlineLoop> {
+        self.found.try_recv().ok()
+    }
+}
+
+impl Drop for LoopsThread {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        // Both channels closed: the thread ends after the scan that it looks at.
+        let (work, _) = sync_channel(0);
+        self.work = work;
+        let (_, found) = sync_channel(0);
+        self.found = found;
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been reported by the panic hook already.
+            let _ = thread.join();
+        }
+    }
+}
