@@ -23,13 +23,13 @@ const MAX_LONG_RAD: f64 = 0.002;
 const MAX_BACK_RAD: f64 = 1e-4;
 /// A ring is a cone: its points are on it, but for so much, radians, and metres near to it.
 const MAX_OFF_CONE_RAD: f64 = 0.0026;
-const LASER_OFF_M: f64 = 0.02;
+const LASER_OFF_M: f64 = 0.01;
 /// Lasers are at most so far above or below the origin of their cloud (an Ouster's are 36 mm above that of its base), metres.
 const MAX_APEX_M: f64 = 0.1;
 /// Times that a cone is laid through the points that are on it.
 const CONE_ROUNDS: usize = 2;
-/// Share of the points that must be on theirs. Right clouds of five sensors: all of them; what was deskewed over a step of 12 cm and half a degree: nine
-/// tenths and less, but in a narrow room.
+/// Share of the points that must be on theirs. Raw clouds of four sensors: all of them; what was deskewed over a step of 12 cm and half a degree: 94 %
+/// in a narrow room, and less.
 const MIN_ON_CONES: f64 = 0.95;
 /// Sorting by angle begins at one of the axes, and the first point lies so near to it, radians.
 const NEAR_AXIS_RAD: f64 = 0.01;
