@@ -174,8 +174,8 @@ fn maps_that_cannot_be_used() {
     };
     let damages: [(Damage<'_>, &[&str]); 5] = [
         (
-            &|f| rewrite(f, "format_version = 3", "format_version = 4"),
-            &["map/map.toml", "version 4", "reads 2 to 3", "map again"],
+            &|f| rewrite(f, "format_version = 4", "format_version = 5"),
+            &["map/map.toml", "version 5", "reads 2 to 4", "map again"],
         ),
         (
             &|f| std::fs::write(header(f), noise(500)).expect("header"),

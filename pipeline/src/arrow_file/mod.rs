@@ -24,7 +24,7 @@ use arrow_schema::{ArrowError, DataType, Field, Schema};
 
 use crate::Error;
 use mapped::map_file;
-pub(crate) use table::{Fingerprint, Table, broken};
+pub(crate) use table::{Fingerprint, Table, broken, length_and_crc32c};
 
 /// Length of the footer, and the format's name, at the end of a file.
 const TRAILER_BYTES: usize = 10;

@@ -14,34 +14,59 @@ pub(crate) struct Table {
     pub bytes: Buffer,
 }
 
-/// Length and hash of a file.
+/// Length, hash and checksum of a file.
 #[derive(PartialEq, Eq)]
 pub(crate) struct Fingerprint {
     pub bytes: u64,
     pub sha256: String,
+    pub crc32c: String,
 }
 
 impl Fingerprint {
-    /// Reads the file rather than mapping it: a map is larger than what is looked at later, and whatever was looked at in a mapped file
-    /// counts as memory of this process.
+    /// Of the whole file, from the disk.
     pub fn of(path: &Path) -> Result<Self, Error> {
-        const PIECE: usize = 1 << 20;
-        let mut file = File::open(path).map_err(Error::io(path))?;
-        let (mut hash, mut bytes) = (Sha256::new(), 0);
-        let mut piece = vec![0; PIECE];
-        loop {
-            match file.read(&mut piece) {
-                Ok(0) => break,
-                Ok(count) => {
-                    hash.update(&piece[..count]);
-                    bytes += count as u64;
-                }
-                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(e) => return Err(Error::io(path)(e)),
+        let (mut hash, mut crc) = (Sha256::new(), 0);
+        let bytes = in_pieces(path, |piece| {
+            hash.update(piece);
+            crc = crc32c::crc32c_append(crc, piece);
+        })?;
+        Ok(Self {
+            bytes,
+            sha256: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
+            crc32c: checksum(crc),
+        })
+    }
+}
+
+/// Length and CRC-32C of a file, which tell damage as fast as memory is read: a hash takes seconds for gigabytes.
+pub(crate) fn length_and_crc32c(path: &Path) -> Result<(u64, String), Error> {
+    let mut crc = 0;
+    let bytes = in_pieces(path, |piece| crc = crc32c::crc32c_append(crc, piece))?;
+    Ok((bytes, checksum(crc)))
+}
+
+fn checksum(crc: u32) -> String {
+    format!("{crc:08x}")
+}
+
+/// Gives a file's bytes piece by piece, and their number. It is read rather than mapped: a map is larger than what is looked at later, and whatever
+/// was looked at in a mapped file counts as memory of this process.
+fn in_pieces(path: &Path, mut take: impl FnMut(&[u8])) -> Result<u64, Error> {
+    // As much as stays in a core's cache until it is summed up.
+    const PIECE: usize = 1 << 18;
+    let mut file = File::open(path).map_err(Error::io(path))?;
+    let mut bytes = 0;
+    let mut piece = vec![0; PIECE];
+    loop {
+        match file.read(&mut piece) {
+            Ok(0) => return Ok(bytes),
+            Ok(count) => {
+                take(&piece[..count]);
+                bytes += count as u64;
             }
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(Error::io(path)(e)),
         }
-        let sha256 = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
-        Ok(Self { bytes, sha256 })
     }
 }
 
@@ -130,5 +155,35 @@ impl Table {
             Column::F32List { width, values } if width == expected => Ok(values),
             _ => Err(self.wrong_type()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is read in pieces has the checksums of the whole: those of the digits are the algorithms' own check values.
+    #[test]
+    fn fingerprints_are_of_the_whole_file() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("file");
+        std::fs::write(&path, "123456789").expect("written");
+        let found = Fingerprint::of(&path).expect("read");
+        assert_eq!((found.bytes, &*found.crc32c), (9, "e3069283"));
+        assert_eq!(&found.sha256[..16], "15e2b0d3c33891eb");
+        let long: Vec<u8> = (0..600_001_u32)
+            .map(|i| (i.wrapping_mul(7919) >> 5) as u8)
+            .collect();
+        std::fs::write(&path, &long).expect("written");
+        let found = Fingerprint::of(&path).expect("read");
+        assert_eq!(found.bytes, 600_001);
+        assert_eq!(found.crc32c, checksum(crc32c::crc32c(&long)));
+        let whole: String = Sha256::digest(&long)
+            .iter()
+            .map(|b| format!("{b:02x}"))
+            .collect();
+        assert_eq!(found.sha256, whole);
+        let read = length_and_crc32c(&path).expect("read");
+        assert_eq!(read, (found.bytes, found.crc32c));
     }
 }

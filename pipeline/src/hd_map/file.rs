@@ -12,13 +12,15 @@ use super::{
     QualityColumns, SiteFrame,
 };
 use crate::Error;
-use crate::arrow_file::{Column, Fingerprint, NamedColumn, Table, broken, write_table};
+use crate::arrow_file::{
+    Column, Fingerprint, NamedColumn, Table, broken, length_and_crc32c, write_table,
+};
 use crate::descriptor_index::{self, DescriptorIndex};
 use crate::features::{DESCRIPTOR_LEN, Feature, LearnedFeature};
 
 /// Version of the folder's layout that is written.
-pub const FORMAT_VERSION: u32 = 3;
-/// The version before: keyframes without covariances. It is read too, and they are unknown there.
+pub const FORMAT_VERSION: u32 = 4;
+/// The oldest version that is read: keyframes without covariances, which are unknown there.
 const WITHOUT_COVARIANCES: u32 = 2;
 
 const HEADER: &str = HdMap::HEADER;
@@ -113,16 +115,49 @@ struct FileHash {
     name: String,
     bytes: u64,
     sha256: String,
+    /// Absent before version 4.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    crc32c: Option<String>,
 }
 
 impl FileHash {
     fn of(folder: &Path, name: &str) -> Result<Self, Error> {
-        let Fingerprint { bytes, sha256 } = Fingerprint::of(&folder.join(name))?;
+        let Fingerprint {
+            bytes,
+            sha256,
+            crc32c,
+        } = Fingerprint::of(&folder.join(name))?;
         Ok(Self {
             name: name.to_owned(),
             bytes,
             sha256,
+            crc32c: Some(crc32c),
         })
+    }
+
+    /// Refuses a file that is not the one listed, by its checksum, or its hash where it has none.
+    fn check(&self, path: &Path) -> Result<(), Error> {
+        let (bytes, is_listed, what) = match &self.crc32c {
+            Some(listed) => {
+                let (bytes, found) = length_and_crc32c(path)?;
+                (bytes, found == *listed, "CRC-32C")
+            }
+            None => {
+                let found = Fingerprint::of(path)?;
+                (found.bytes, found.sha256 == self.sha256, "SHA-256")
+            }
+        };
+        if bytes != self.bytes {
+            let reason = format!("has {bytes} bytes instead of {}", self.bytes);
+            return Err(broken(path, &reason));
+        }
+        if !is_listed {
+            return Err(broken(
+                path,
+                &format!("its {what} is not the one in map.toml"),
+            ));
+        }
+        Ok(())
     }
 }
 
@@ -223,7 +258,7 @@ impl HdMap {
         ]
     }
 
-    /// Opens the map in a folder: checks version, lengths, hashes and that every reference leads somewhere, and maps
+    /// Opens the map in a folder: checks version, lengths, checksums and that every reference leads somewhere, and maps
     /// the files into memory.
     pub fn open(folder: &Path) -> Result<Self, Error> {
         let header = read_header(folder)?;
@@ -236,7 +271,7 @@ impl HdMap {
             false => BTreeMap::new(),
         };
         let names: Vec<&str> = TABLES.into_iter().chain(descriptor_index::TABLES).collect();
-        // Every file is hashed, each on a core of its own: of a large map that is what opening takes.
+        // Every file is read whole for its checksum, each on a core of its own: of a large map that is what opening takes.
         let opened: Vec<Result<Table, Error>> = names
             .par_iter()
             .map(|name| open_table(folder, &header, name))
@@ -404,7 +439,7 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
         other => other.map_err(Error::io(&path))?,
     };
     let version: Version = toml::from_str(&text).map_err(|e| broken(&path, e.message()))?;
-    if ![WITHOUT_COVARIANCES, FORMAT_VERSION].contains(&version.format_version) {
+    if !(WITHOUT_COVARIANCES..=FORMAT_VERSION).contains(&version.format_version) {
         return Err(Error::MapVersion {
             path,
             found: version.format_version,
@@ -429,13 +464,6 @@ fn open_table(folder: &Path, header: &Header, name: &str) -> Result<Table, Error
             &format!("does not list {name}"),
         ));
     };
-    let found = Fingerprint::of(&path)?;
-    if found.bytes != expected.bytes {
-        let reason = format!("has {} bytes instead of {}", found.bytes, expected.bytes);
-        return Err(broken(&path, &reason));
-    }
-    if found.sha256 != expected.sha256 {
-        return Err(broken(&path, "its SHA-256 is not the one in map.toml"));
-    }
+    expected.check(&path)?;
     Table::map(path)
 }

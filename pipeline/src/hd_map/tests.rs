@@ -166,11 +166,36 @@ fn maps_of_the_version_before_are_read() {
     known.write(folder.path()).expect("written");
     let header = folder.path().join("map.toml");
     let text = fs::read_to_string(&header).expect("readable");
-    let before = text.replace("format_version = 3", "format_version = 2");
-    fs::write(&header, before).expect("write");
+    let without_crc = text.lines().filter(|line| !line.starts_with("crc32c"));
+    let without_crc: String = without_crc.flat_map(|line| [line, "\n"]).collect();
+    assert_ne!(without_crc, text);
+    let version = |number: u32| {
+        let stated = format!("format_version = {number}");
+        without_crc.replace("format_version = 4", &stated)
+    };
+    fs::write(&header, version(3)).expect("write");
+    let opened = HdMap::open(folder.path()).expect("opened");
+    assert_eq!(opened.keyframe_covariance(1), known.keyframe_covariance(1));
+    fs::write(&header, version(2)).expect("write");
     let opened = HdMap::open(folder.path()).expect("opened");
     assert_eq!(opened.keyframe(1), known.keyframe(1));
     assert_eq!(opened.keyframe_covariance(1), None);
+    // Without checksums damage is told by the hashes.
+    for (name, mut bytes) in bytes_of(folder.path()) {
+        if name == "map.toml" {
+            continue;
+        }
+        let (path, middle) = (folder.path().join(&name), bytes.len() / 2);
+        bytes[middle] ^= 0x20;
+        fs::write(&path, &bytes).expect("flipped");
+        let error = HdMap::open(folder.path()).expect_err("damaged").to_string();
+        assert!(
+            error.contains(&name) && error.contains("SHA-256"),
+            "{error}"
+        );
+        bytes[middle] ^= 0x20;
+        fs::write(&path, &bytes).expect("restored");
+    }
 }
 
 /// A wall of points before a walk of ten keyframes: each point is seen by those within two metres of it.
@@ -337,7 +362,7 @@ fn damage_is_named() {
     let text = fs::read_to_string(&header).expect("readable");
     fs::write(
         &header,
-        text.replace("format_version = 3", "format_version = 7"),
+        text.replace("format_version = 4", "format_version = 7"),
     )
     .expect("write");
     let error = HdMap::open(folder.path()).expect_err("another version");

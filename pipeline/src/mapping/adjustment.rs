@@ -26,6 +26,10 @@ const BLIND_M: f64 = 0.02;
 /// The IMU ties neighbours far more firmly than they are held to places: damping by a share of that would hold the whole.
 const MOST_DAMPING_WITH_IMU: f64 = 1e-10;
 
+/// Where Huber's kernel of reprojections turns linear, and that of Cauchy of planes and edges has halved a weight, in standard deviations.
+pub(super) const IMAGE_KERNEL_SCALE: f64 = 2.0;
+pub(super) const SCAN_KERNEL_SCALE: f64 = 2.0;
+
 /// What is minimised besides the reprojection errors of the points, and how much each term weighs.
 pub(super) struct Terms<'a> {
     pub scans: &'a [Compared],
@@ -140,7 +144,9 @@ pub(super) fn equation(
                 pixel: image.features.keypoints[o.keypoint as usize].pixel_f64(),
                 sigma_px: terms.weights.pixel_sigma_px,
             };
-            let kernel = Kernel::Huber { scale: 2.0 };
+            let kernel = Kernel::Huber {
+                scale: IMAGE_KERNEL_SCALE,
+            };
             problem.add_residual(residual, &[poses[image.keyframe].id(), block.id()], kernel)?;
         }
     }
@@ -170,22 +176,9 @@ pub(super) fn add_keyframes(
     if let Some(first) = poses.first() {
         problem.set_constant(*first);
     }
-    let contradicted = terms.weights.contradicted;
-    let measured = terms.odometry.windows(2).zip(terms.blind_s);
-    for (k, (pair, (measured, blind_s))) in poses.windows(2).zip(measured).enumerate() {
-        // The start has nothing there but the samples, which then say it themselves, and how well they know it.
-        if *blind_s > 0.0 && terms.imu.is_some_and(|imu| imu.has(k)) {
-            continue;
-        }
-        let blind_m = BLIND_M * blind_s.powf(1.5);
-        let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
-        let residual = RelativePose::isotropic(
-            measured[0].world_from_rig.inverse() * measured[1].world_from_rig,
-            config.odometry_rotation_sigma_deg.to_radians() * root_secs * contradicted.rotation,
-            (config.odometry_translation_sigma_m * root_secs * contradicted.translation)
-                .hypot(blind_m),
-        );
-        problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
+    for (k, step) in steps(keyframes, terms, config) {
+        let pair = [poses[k].id(), poses[k + 1].id()];
+        problem.add_residual(step, &pair, Kernel::Squared)?;
     }
     add_scans(problem, &poses, terms, config.terms)?;
     let inertial = terms.imu.map(|imu| imu.add(problem, &poses));
@@ -195,6 +188,34 @@ pub(super) fn add_keyframes(
     })
 }
 
+/// The motion from keyframe `k` to the next as the odometry has it, of all keyframes in which it takes part.
+pub(super) fn steps(
+    keyframes: &Keyframes,
+    terms: &Terms,
+    config: &MappingConfig,
+) -> Vec<(usize, RelativePose)> {
+    let contradicted = terms.weights.contradicted;
+    let measured = terms.odometry.windows(2).zip(terms.blind_s);
+    let pairs = keyframes.frames.len().saturating_sub(1);
+    let measured = measured.take(pairs).enumerate();
+    let step = |(k, (measured, blind_s)): (usize, (&[StampedPose], &f64))| {
+        // The start has nothing there but the samples, which then say it themselves, and how well they know it.
+        if *blind_s > 0.0 && terms.imu.is_some_and(|imu| imu.has(k)) {
+            return None;
+        }
+        let blind_m = BLIND_M * blind_s.powf(1.5);
+        let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
+        let step = RelativePose::isotropic(
+            measured[0].world_from_rig.inverse() * measured[1].world_from_rig,
+            config.odometry_rotation_sigma_deg.to_radians() * root_secs * contradicted.rotation,
+            (config.odometry_translation_sigma_m * root_secs * contradicted.translation)
+                .hypot(blind_m),
+        );
+        Some((k, step))
+    };
+    measured.filter_map(step).collect()
+}
+
 fn add_scans(
     problem: &mut Problem,
     poses: &[Block<Se3>],
@@ -202,7 +223,9 @@ fn add_scans(
     taken: TermConfig,
 ) -> Result<(), Error> {
     let weights = &terms.weights;
-    let kernel = Kernel::Cauchy { scale: 2.0 };
+    let kernel = Kernel::Cauchy {
+        scale: SCAN_KERNEL_SCALE,
+    };
     for (pair, found) in terms.scans {
         let blocks = [poses[pair.m].id(), poses[pair.n].id()];
         let planes: Arc<dyn ResidualSet> = Arc::new(MatchedPlanes {

@@ -124,6 +124,29 @@ pub(super) fn optimise(
     }
 }
 
+/// The first round of [`optimise`] as far as its terms: `take` is given them.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "those of `optimise`, and what is done instead of solving"
+)]
+pub(super) fn first_terms<T>(
+    rig: &Rig,
+    keyframes: &mut Keyframes,
+    trajectory: &Trajectory,
+    config: &MappingConfig,
+    report: MappingReport,
+    run: &Run<'_>,
+    progress: ProgressFn<'_>,
+    take: impl FnOnce(&Keyframes, &[MapPoint], &Terms<'_>) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let alternation = Alternation::new(rig, keyframes, trajectory, config, &report, run, progress)?;
+    let mut rounds = alternation.begin(report);
+    let tracks = alternation.look_at(&rounds.matched, keyframes)?;
+    let matches = alternation.match_round(&mut rounds, tracks, keyframes)?;
+    let terms = alternation.terms(&matches.scans, matches.weights, None, None);
+    take(keyframes, &matches.points, &terms)
+}
+
 /// What is the same in all rounds.
 struct Alternation<'a> {
     rig: &'a Rig,

@@ -36,7 +36,7 @@ fn camera(yaw_rad: f64) -> RigCamera {
     }
 }
 
-fn rig() -> Rig {
+pub(super) fn rig() -> Rig {
     Rig {
         cameras: [("cam0", 0.0), ("cam1", 2.1), ("cam2", -2.1)]
             .map(|(name, yaw)| (name.to_owned(), camera(yaw)))
@@ -48,7 +48,7 @@ fn rig() -> Rig {
 }
 
 /// A walk in the furnished room, its images `image_delay_s` late.
-fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
+pub(super) fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
     record_with(path, duration_s, cameras, image_delay_s, 0, &rig());
 }
 
