@@ -21,6 +21,7 @@
 mod factor;
 mod marks;
 mod models;
+mod placing;
 mod rounds;
 mod steps;
 mod system;
