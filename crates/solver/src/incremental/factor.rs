@@ -345,18 +345,6 @@ fn add_update<const FUSED: bool>(
     add_lower_product::<FUSED>(target, panel, height, from, m, n);
 }
 
-/// Solves a dense system of which the lower triangle is given, columns first, in place; `false` where it is not positive definite.
-pub(super) fn solve_dense(matrix: &mut [f64], solved: &mut [f64]) -> bool {
-    let n = solved.len();
-    let (panel, forward) = (&mut matrix[..], &mut solved[..]);
-    if !vectorized!(cholesky(panel, forward, n, n)) {
-        return false;
-    }
-    let panel = &matrix[..];
-    vectorized!(solve_back(solved, panel, n, n));
-    true
-}
-
 /// Lower Cholesky factor of the first rows in place, those below divided by it, and the lower triangular system solved.
 #[inline(always)]
 fn cholesky<const FUSED: bool>(

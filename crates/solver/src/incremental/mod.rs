@@ -21,7 +21,6 @@
 mod factor;
 mod marks;
 mod models;
-mod placing;
 mod rounds;
 mod steps;
 mod system;

@@ -4,7 +4,6 @@ use crate::evaluation::squared_norm;
 use crate::kernels::{multiply_add, vectorized};
 use crate::problem::{Problem, ResidualId};
 use crate::residual::{CONSTANT, Linearization, NO_PAIR, Parameters, Slot};
-use crate::robust::Robust;
 use crate::{Error, Kernel, Undefined};
 
 use super::marks::Marks;
@@ -116,43 +115,6 @@ fn product_fixed<const FUSED: bool, const N: usize>(
         }
         *t += sums[0] + sums[1] + sums[2];
     }
-}
-
-/// Evaluates a residual and its Jacobians at the problem's values; whether it is defined there.
-fn evaluate(
-    problem: &Problem,
-    steps: &Steps,
-    k: usize,
-    slots: &[Slot],
-    record: &mut [f64],
-) -> Result<bool, Error> {
-    let entry = &problem.residuals[k];
-    let parameters = Parameters {
-        values: &problem.values,
-        slots,
-    };
-    let mut out = Linearization {
-        record,
-        slots,
-        with_jacobians: true,
-    };
-    if entry.evaluate(&parameters, &mut out) == Err(Undefined) {
-        return Ok(false);
-    }
-    if !record.iter().all(|x| x.is_finite()) {
-        let blocks = problem.blocks_of(ResidualId(k)).iter();
-        return Err(Error::ResidualNotFinite {
-            residual: k,
-            blocks: blocks.map(|b| b.0).collect(),
-        });
-    }
-    for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
-        let block = slot.block as usize;
-        let length = entry.rows() * steps.dimension(block);
-        let rows = &mut record[slot.jacobian as usize..][..length];
-        align(problem, block, rows, true);
-    }
-    Ok(true)
 }
 
 /// Takes the share `bend` away from the Jacobians along the residual.
@@ -286,24 +248,6 @@ impl Models {
         (self.models[k].root > 0.0).then_some(self.linearized[k].cost)
     }
 
-    /// A residual and its Jacobians at the problem's values, without weight; `None` where it is removed or undefined.
-    pub fn evaluate(
-        &self,
-        problem: &Problem,
-        steps: &Steps,
-        k: usize,
-        record: &mut Vec<f64>,
-    ) -> Result<Option<Robust>, Error> {
-        let entry = &problem.residuals[k];
-        let (dimension, slots, old) = self.model(k);
-        record.clear();
-        record.resize(old.len(), 0.0);
-        if entry.residual.is_none() || !evaluate(problem, steps, k, slots, record)? {
-            return Ok(None);
-        }
-        Ok(Some(entry.kernel.at(squared_norm(&record[..dimension]))))
-    }
-
     /// Linearizes a residual at the problem's values, to which the steps led.
     pub fn linearize(&mut self, problem: &Problem, steps: &Steps, k: usize) -> Result<(), Error> {
         let entry = &problem.residuals[k];
@@ -316,12 +260,34 @@ impl Models {
         let (slots, terms) = (&self.slots[own.clone()], &self.terms[own]);
         let numbers = &mut self.numbers[model.start..][..model.length as usize + dimension];
         let (record, shift) = numbers.split_at_mut(model.length as usize);
-        if !evaluate(problem, steps, k, slots, record)? {
+        let parameters = Parameters {
+            values: &problem.values,
+            slots,
+        };
+        let mut out = Linearization {
+            record,
+            slots,
+            with_jacobians: true,
+        };
+        if entry.evaluate(&parameters, &mut out) == Err(Undefined) {
             // It keeps the cost it had, and pulls at nothing.
             record.fill(0.0);
             shift.fill(0.0);
             model.root = 0.0;
             return Ok(());
+        }
+        if !record.iter().all(|x| x.is_finite()) {
+            let blocks = problem.blocks_of(ResidualId(k)).iter();
+            return Err(Error::ResidualNotFinite {
+                residual: k,
+                blocks: blocks.map(|b| b.0).collect(),
+            });
+        }
+        for slot in slots.iter().filter(|slot| slot.jacobian != CONSTANT) {
+            let block = slot.block as usize;
+            let length = dimension * steps.dimension(block);
+            let rows = &mut record[slot.jacobian as usize..][..length];
+            align(problem, block, rows, true);
         }
         let squared = squared_norm(&record[..dimension]);
         let sum = record[dimension..].iter().sum();

@@ -6,7 +6,6 @@ use crate::{Error, IncrementalConfig, UpdateReport};
 use super::factor::Factor;
 use super::marks::Marks;
 use super::models::{Models, Trust};
-use super::placing::Placing;
 use super::steps::{Part, Steps};
 use super::system::System;
 
@@ -47,9 +46,6 @@ pub(super) struct Kept {
     bare_turned_from: Vec<f64>,
     looked_from: Vec<f64>,
     near_looked_from: Vec<f64>,
-    placing: Placing,
-    /// Blocks that came with this update.
-    came: Vec<usize>,
     /// Scratch of a round.
     stale: Marks,
     points: Marks,
@@ -98,7 +94,6 @@ impl Kept {
         report: &mut UpdateReport,
     ) -> Result<bool, Error> {
         self.take_in(problem, new, touched)?;
-        self.place(problem)?;
         let mut is_near = true;
         for round in 1..=config.max_rounds {
             report.rounds += 1;
@@ -108,7 +103,6 @@ impl Kept {
             }
             if round == 1 {
                 self.touch(touched);
-                self.begin_looks();
             }
             self.reduce();
             let changed = self.blocks.all();
@@ -165,9 +159,7 @@ impl Kept {
 
     /// Makes room, registers what is new, and brings the order of elimination up to date.
     fn take_in(&mut self, problem: &Problem, new: &Marks, touched: &Marks) -> Result<(), Error> {
-        let (known, count) = (self.steps.blocks(), problem.blocks.len());
-        self.came.clear();
-        self.came.extend(known..count);
+        let count = problem.blocks.len();
         self.updates += 1;
         self.steps.begin();
         self.steps.grow(problem);
@@ -209,56 +201,6 @@ impl Kept {
         blocks.dedup();
         factor.append(steps, &blocks);
         Ok(())
-    }
-
-    /// Places what came by what it shares with what was known before, then each point that came by those who see it.
-    fn place(&mut self, problem: &mut Problem) -> Result<(), Error> {
-        let Some(first) = self.came.first().copied().filter(|first| *first > 0) else {
-            return Ok(());
-        };
-        let (steps, system) = (&mut self.steps, &self.system);
-        let has_come = |block: usize, part, steps: &Steps| {
-            block >= first && steps.part(block) == part && !system.residuals_of(block).is_empty()
-        };
-        let of_part = |part, steps: &Steps| -> Vec<usize> {
-            let came = self.came.iter().copied();
-            came.filter(|block| has_come(*block, part, steps)).collect()
-        };
-        let blocks = of_part(Part::Reduced, steps);
-        let tells = |k: &usize| {
-            let of_residual = problem.blocks_of(ResidualId(*k)).iter();
-            let (mut moves, mut is_known) = (false, true);
-            for block in of_residual {
-                moves |= has_come(block.0, Part::Reduced, steps);
-                is_known &= !has_come(block.0, Part::Point, steps);
-            }
-            moves && is_known
-        };
-        let telling: Vec<usize> = self.stale.all().iter().copied().filter(tells).collect();
-        let (placing, models) = (&mut self.placing, &self.models);
-        placing.place(problem, steps, models, &blocks, &telling)?;
-        for point in of_part(Part::Point, steps) {
-            let seen = system.residuals_of(point).iter().map(|k| *k as usize);
-            let seen: Vec<usize> = seen.collect();
-            placing.place(problem, steps, models, &[point], &seen)?;
-        }
-        Ok(())
-    }
-
-    /// Residuals of what came have just been linearized where it is: it is looked at again once it has moved from there.
-    fn begin_looks(&mut self) {
-        for block in &self.came {
-            let range = self.steps.range(*block);
-            let step = self.steps.of(*block);
-            for from in [
-                &mut self.turned_from,
-                &mut self.bare_turned_from,
-                &mut self.looked_from,
-                &mut self.near_looked_from,
-            ] {
-                from[range.clone()].copy_from_slice(step);
-            }
-        }
     }
 
     /// Moves what is far and reached by something new to the end of the order of elimination, with what is beside it. Where a loop closes, all columns
