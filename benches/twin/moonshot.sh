@@ -38,7 +38,7 @@ SETTINGS
 echo 'max_absent_share = 1.0' > any-place.toml
 cat exact-rig.toml any-place.toml > all.toml
 for walk in as-is imu images both; do
-  [ -e "$walk/walk.mcap.finished.json" ] || "$lsfb" sim --config "$walk.toml" --record --force --quiet --out "$walk"
+  [ -e "$walk/walk.mcap" ] || "$lsfb" sim --config "$walk.toml" --record --force --quiet --out "$walk"
 done
 "$lsfb" map as-is/scan.mcap --out map --out-trajectory scan.tum --quiet
 [ -e true-map/map.toml ] || "$python" "$here/true_map.py" map as-is/truth true-map
