@@ -1,5 +1,6 @@
-//! The rows of an ablation: means over what is withheld, with their intervals.
+//! The rows of an ablation: means over what is withheld, or over walks, with their intervals.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use lsfb_eval::alignment::AlignmentMode;
@@ -11,10 +12,12 @@ pub const QUADRANTS: usize = 4;
 /// What the motion without a map is judged after, and all others with it.
 pub const ALIGNMENT: AlignmentMode = AlignmentMode::Se3;
 
-/// One choice of quadrants.
+/// A trajectory that was asked for.
 #[derive(Serialize)]
 pub struct Run {
-    /// Those that were withheld.
+    /// Number of the walk among those given, from 1.
+    pub walk: usize,
+    /// Quadrants of the map that were withheld.
     pub withheld_quadrants: Vec<usize>,
     /// Share of the map's points that was left, percent.
     pub points_percent: f64,
@@ -33,50 +36,121 @@ pub struct Run {
     pub refused: Option<String>,
 }
 
-/// All choices of one share.
+/// How a trajectory came about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Method {
+    #[serde(rename = "ground truth")]
+    GroundTruth,
+    #[serde(rename = "single images")]
+    Localization,
+    #[serde(rename = "motion without a map")]
+    Motion,
+}
+
+/// What a row is of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Setting {
+    pub method: Method,
+    pub map_percent: u32,
+    /// That of the map; absent without one.
+    pub feature: Option<String>,
+    /// Whether loops were closed; absent in a map, where none are.
+    pub loops: Option<bool>,
+}
+
+impl Setting {
+    fn label(&self) -> String {
+        let of = self.feature.as_deref().unwrap_or("motion without a map");
+        let how = match (self.method, self.loops) {
+            (Method::Localization, _) => ", single images",
+            (_, Some(false)) => ", no loops",
+            _ => "",
+        };
+        format!("{:>3}% {of}{how}", self.map_percent)
+    }
+}
+
+/// The runs of each setting.
+#[derive(Default)]
+pub struct Runs(Vec<(Setting, Vec<Run>)>);
+
+impl Runs {
+    pub fn add(&mut self, setting: Setting, run: Run) {
+        match self.0.iter_mut().find(|(known, _)| *known == setting) {
+            Some((_, runs)) => runs.push(run),
+            None => self.0.push((setting, vec![run])),
+        }
+    }
+
+    pub fn rows(self) -> Vec<Row> {
+        let rows = self.0.into_iter();
+        rows.map(|(setting, runs)| summary(setting, runs)).collect()
+    }
+}
+
+/// All runs of one setting.
 #[derive(Serialize)]
 pub struct Row {
-    pub map_percent: u32,
-    pub method: &'static str,
+    #[serde(flatten)]
+    pub setting: Setting,
     pub alignment: &'static str,
-    /// Choices that gave a trajectory.
+    pub walks: usize,
+    /// Runs that gave a trajectory.
     pub given: usize,
     pub refused: usize,
+    /// Of one walk the mean of its runs, of several that of their means.
     pub ate_rms_m: Option<f64>,
-    /// Half of the 95 % interval of that mean; absent for fewer than two choices.
+    /// Half of the 95 % interval of that mean, over the runs of one walk or over several walks; absent for fewer than two.
     pub ate_rms_interval_m: Option<f64>,
-    /// The worst choice's.
+    /// The worst run's.
     pub worst_ate_rms_m: Option<f64>,
     pub poses_percent: f64,
-    /// The least of any choice that gave a trajectory.
+    /// The least of any run that gave a trajectory.
     pub judged_percent: Option<f64>,
     pub runs: Vec<Run>,
 }
 
+/// Whose a run is.
+#[derive(Serialize)]
+pub struct Walk {
+    pub recording: String,
+    pub truth: String,
+    pub map: String,
+    pub feature: String,
+}
+
 #[derive(Serialize)]
 pub struct Table {
-    pub walk: String,
-    pub truth: String,
+    pub walks: Vec<Walk>,
     pub rows: Vec<Row>,
 }
 
-/// A row of the runs of one share.
-pub fn summary(percent: u32, runs: Vec<Run>) -> Row {
-    let rms: Vec<f64> = runs.iter().filter_map(|run| run.ate_rms_m).collect();
+/// A row of the runs of one setting.
+fn summary(setting: Setting, runs: Vec<Run>) -> Row {
+    let given = |run: &Run| Some((run.walk, run.ate_rms_m?));
+    let given: Vec<(usize, f64)> = runs.iter().filter_map(given).collect();
+    let rms: Vec<f64> = given.iter().map(|(_, rms)| *rms).collect();
+    let walks: BTreeSet<usize> = runs.iter().map(|run| run.walk).collect();
+    let of_walk = |walk: &usize| {
+        let own = given.iter().filter(|(other, _)| other == walk);
+        mean(&own.map(|(_, rms)| *rms).collect::<Vec<_>>())
+    };
+    let samples = match walks.len() {
+        1 => rms.clone(),
+        // Choices of quadrants of one walk have all its luck in common.
+        _ => walks.iter().filter_map(of_walk).collect(),
+    };
     let shares = runs.iter().map(|run| run.poses_percent);
     let given = runs.iter().filter(|run| run.ate_rms_m.is_some());
     let judged = given.map(|run| run.judged_percent);
     Row {
-        map_percent: percent,
-        method: match percent {
-            0 => "motion without a map",
-            _ => "ground truth",
-        },
+        setting,
         alignment: ALIGNMENT.label(),
+        walks: walks.len(),
         given: rms.len(),
         refused: runs.len() - rms.len(),
-        ate_rms_m: mean(&rms),
-        ate_rms_interval_m: interval(&rms),
+        ate_rms_m: mean(&samples),
+        ate_rms_interval_m: interval(&samples),
         worst_ate_rms_m: rms.iter().copied().reduce(f64::max),
         poses_percent: shares.sum::<f64>() / runs.len().max(1) as f64,
         judged_percent: judged.reduce(f64::min),
@@ -88,13 +162,18 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Student's t for 95 % on both sides, with one, two and three degrees of freedom.
-const STUDENT_95: [f64; QUADRANTS - 1] = [12.706, 4.303, 3.182];
+/// Student's t for 95 % on both sides, from one degree of freedom on; with more than these it is less, by 4 % at most.
+const STUDENT_95: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
+    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
+    2.052, 2.048, 2.045, 2.042,
+];
 
 /// Half of the 95 % interval of the mean.
 fn interval(values: &[f64]) -> Option<f64> {
     let freedom = values.len().checked_sub(1)?;
-    let student = STUDENT_95.get(freedom.checked_sub(1)?)?;
+    let listed = freedom.min(STUDENT_95.len()).checked_sub(1)?;
+    let student = STUDENT_95.get(listed)?;
     let middle = mean(values)?;
     let variance = values.iter().map(|v| (v - middle).powi(2)).sum::<f64>() / freedom as f64;
     Some(student * (variance / values.len() as f64).sqrt())
@@ -102,19 +181,25 @@ fn interval(values: &[f64]) -> Option<f64> {
 
 /// The table for people.
 pub fn text(table: &Table) -> String {
+    let of = match &table.walks[..] {
+        [one] => format!("{} against {}", one.recording, one.truth),
+        several => format!("{} walks, ± over walks", several.len()),
+    };
+    let labels: Vec<String> = table.rows.iter().map(|row| row.setting.label()).collect();
+    let widest = labels.iter().map(|label| label.chars().count()).max();
+    let width = widest.unwrap_or_default().max(4);
     let mut text = format!(
-        "{} against {}, ATE rms in cm after alignment by {}\n  map  runs  refused      ATE   ± 95 %    worst   judged   frames with a pose\n",
-        table.walk,
-        table.truth,
-        ALIGNMENT.label()
+        "{of}, ATE rms in cm after alignment by {}\n{:<width$}  walks  runs  refused      ATE   ± 95 %    worst   judged   frames with a pose\n",
+        ALIGNMENT.label(),
+        " map",
     );
     let cm = |value: Option<f64>| value.map_or("–".to_owned(), |m| format!("{:.2}", 100.0 * m));
-    for row in &table.rows {
+    for (row, label) in table.rows.iter().zip(&labels) {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "{:>4}%  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}   {:.1} %{}",
-            row.map_percent,
+            "{label:<width$}  {:>5}  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}   {:.1} %",
+            row.walks,
             row.runs.len(),
             row.refused,
             cm(row.ate_rms_m),
@@ -123,19 +208,23 @@ pub fn text(table: &Table) -> String {
             row.judged_percent
                 .map_or("–".to_owned(), |percent| format!("{percent:.0} %")),
             row.poses_percent,
-            match row.map_percent {
-                0 => " (motion without a map)",
-                _ => "",
-            }
         );
         for run in &row.runs {
+            let whose = match table.walks.len() {
+                1 => String::new(),
+                _ => format!("walk {}, ", run.walk),
+            };
             if let Some(why) = &run.refused {
-                let _ = writeln!(text, "       without {:?}: {why}", run.withheld_quadrants);
+                let _ = writeln!(
+                    text,
+                    "       {whose}without {:?}: {why}",
+                    run.withheld_quadrants
+                );
             }
             for finding in &run.findings {
                 let _ = writeln!(
                     text,
-                    "       without {:?}: {}  {} {}",
+                    "       {whose}without {:?}: {}  {} {}",
                     run.withheld_quadrants, finding.verdict, finding.subject, finding.what
                 );
             }
@@ -155,5 +244,64 @@ mod tests {
         let half = interval(&values).expect("four values");
         assert!((half - 2.1917).abs() < 1e-3, "{half}");
         assert_eq!(interval(&values[..1]), None);
+    }
+
+    fn run(walk: usize, ate_rms_m: Option<f64>) -> Run {
+        Run {
+            walk,
+            withheld_quadrants: vec![0],
+            points_percent: 75.0,
+            poses_percent: 100.0,
+            judged_percent: 100.0,
+            ate_rms_m,
+            ate_max_m: ate_rms_m,
+            findings: Vec::new(),
+            refused: ate_rms_m.is_none().then(|| "no".to_owned()),
+        }
+    }
+
+    /// Choices of one walk are no walks: 1, 1, 1 and 1 cm of one and 3, 3, 3 and 3 of the other are two samples, by hand 2 ± 12.706 cm, not
+    /// eight, of which the naive interval is 2 ± 0.9.
+    #[test]
+    fn several_walks_have_intervals_over_walks() {
+        let setting = |feature: &str| Setting {
+            method: Method::GroundTruth,
+            map_percent: 75,
+            feature: Some(feature.to_owned()),
+            loops: None,
+        };
+        let mut runs = Runs::default();
+        for (walk, ate_m) in [(1, 0.01), (2, 0.03)] {
+            for _ in 0..4 {
+                runs.add(setting("sift"), run(walk, Some(ate_m)));
+            }
+        }
+        runs.add(setting("xfeat"), run(3, Some(0.02)));
+        runs.add(setting("xfeat"), run(3, None));
+        let rows = runs.rows();
+        let [sift, learned] = &rows[..] else {
+            panic!("one row for each feature: {}", rows.len());
+        };
+        assert_eq!((sift.walks, sift.given, sift.refused), (2, 8, 0));
+        let half_m = sift.ate_rms_interval_m.expect("two walks");
+        assert!((half_m - 0.12706).abs() < 1e-5, "{half_m}");
+        assert!((sift.ate_rms_m.expect("a mean") - 0.02).abs() < 1e-12);
+        assert!((sift.worst_ate_rms_m.expect("a worst") - 0.03).abs() < 1e-12);
+        assert_eq!((learned.walks, learned.given, learned.refused), (1, 1, 1));
+        assert_eq!(learned.ate_rms_interval_m, None);
+        let table = Table {
+            walks: (1..4)
+                .map(|k| Walk {
+                    recording: format!("{k}.mcap"),
+                    truth: String::new(),
+                    map: String::new(),
+                    feature: String::new(),
+                })
+                .collect(),
+            rows,
+        };
+        let text = text(&table);
+        assert!(text.contains(" 75% xfeat"), "{text}");
+        assert!(text.contains("walk 3, without [0]: no"), "{text}");
     }
 }
