@@ -137,9 +137,10 @@ write("keyframes.arrow", keyframes, columns)
 header = open(f"{source}/map.toml").read()
 for name in ("points.arrow", "keyframes.arrow"):
     data = open(f"{out}/{name}", "rb").read()
+    # Without a checksum of its own a file is held against its hash.
     header = re.sub(
-        rf'(name = "{name}"\nbytes = )\d+(\nsha256 = ")[0-9a-f]+',
-        lambda m: f"{m[1]}{len(data)}{m[2]}{hashlib.sha256(data).hexdigest()}",
+        rf'(name = "{name}"\nbytes = )\d+(\nsha256 = ")[0-9a-f]+("\n)crc32c = "[0-9a-f]+"\n',
+        lambda m: f"{m[1]}{len(data)}{m[2]}{hashlib.sha256(data).hexdigest()}{m[3]}",
         header,
     )
 open(f"{out}/map.toml", "w").write(header)
