@@ -355,7 +355,7 @@ mod tests {
     fn the_text_is_what_is_solved() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("scan.mcap");
-        record(&path, 1.5, &["cam0", "cam1", "cam2"], 0.0);
+        record(&path, 3.0, &["cam0", "cam1"], 0.03);
         let recording = Recording::open(&path).expect("recording");
         let (config, out) = (MappingConfig::default(), folder.path().join("eq4.txt"));
         let solved = write_first_equation(&recording, &config, &out, &no_progress);
