@@ -7,11 +7,13 @@ use serde_json::Value;
 
 use crate::{Lacks, skip, workspace_root};
 
-/// Builds the emulated kernel.
+/// Builds the emulated kernel, in a folder of its own: tests would wait for whatever else is being built.
 pub fn library() -> PathBuf {
     let output = Command::new(env!("CARGO"))
         .args(["build", "--release", "--offline", "-p", "lsfb-fakekernel"])
         .arg("--message-format=json")
+        .arg("--target-dir")
+        .arg(workspace_root().join("target/fakekernel"))
         .current_dir(workspace_root())
         .output()
         .expect("cargo runs");
