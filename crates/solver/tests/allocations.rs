@@ -120,8 +120,10 @@ fn iterations_after_the_first_take_no_memory() {
                 taken
             });
             assert!(taken.len() > 3, "{linear_solver:?} {method:?}: {taken:?}");
+            // A thread that sleeps for the first time takes memory once, later than that on a busy machine: not one for each iteration.
+            let since_first = taken[taken.len() - 1] - taken[0];
             assert!(
-                taken.iter().all(|count| *count == taken[0]),
+                since_first < threads,
                 "{threads} threads, {linear_solver:?} {method:?}: {taken:?}"
             );
         }
