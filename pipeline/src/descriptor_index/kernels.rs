@@ -4,7 +4,12 @@
 //! Each is a type of its own, not a closure or a function handed on: nothing could force those to be inlined where the vector
 //! instructions are.
 
+use std::hint::black_box;
+
 use pulp::{Arch, Simd, WithSimd};
+
+use super::Neighbour;
+use crate::features::Descriptor;
 
 /// Centroids that are looked at together: as many sums as the registers of a processor with AVX2 take.
 const LANES: usize = 64;
@@ -198,9 +203,60 @@ pub(super) fn estimate<const N: usize>(
     }));
 }
 
+/// Squared distances of a query to some of many descriptors.
+pub(super) fn compare(
+    query: &Descriptor,
+    all: &[Descriptor],
+    neighbours: &[Neighbour],
+    distances: &mut Vec<u32>,
+) {
+    /// Bytes of a line of the cache.
+    const LINE: usize = 64;
+    // They lie all over a large table: memory is asked for all of them before the first is waited for.
+    let asked = neighbours.iter().flat_map(|n| {
+        let lines = all[n.descriptor as usize].chunks(LINE);
+        lines.map(|line| line[0])
+    });
+    black_box(asked.fold(0, |any, byte| any | byte));
+    distances.clear();
+    Arch::new().dispatch(AppendDistances {
+        query,
+        all,
+        neighbours,
+        distances,
+    });
+}
+
+struct AppendDistances<'a> {
+    query: &'a Descriptor,
+    all: &'a [Descriptor],
+    neighbours: &'a [Neighbour],
+    distances: &'a mut Vec<u32>,
+}
+
+impl WithSimd for AppendDistances<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        for neighbour in self.neighbours {
+            let other = &self.all[neighbour.descriptor as usize];
+            // Pairs of sixteen-bit lanes are multiplied and added at once.
+            let mut sum = 0;
+            for (a, b) in self.query.iter().zip(other) {
+                let difference = i16::from(*a) - i16::from(*b);
+                sum += i32::from(difference) * i32::from(difference);
+            }
+            self.distances.push(sum as u32);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::DESCRIPTOR_LEN;
+    use crate::features::matching::distance_squared;
 
     fn numbers(count: usize, seed: usize) -> Vec<f32> {
         let hashed = |i: usize| (i + seed).wrapping_mul(2_654_435_761) >> 7;
@@ -279,6 +335,28 @@ mod tests {
         Arch::Scalar.dispatch(multiply(plain.as_mut_slice()));
         Arch::new().dispatch(multiply(wide.as_mut_slice()));
         assert!(plain == wide && plain[3][200] != 0.0);
+    }
+
+    #[test]
+    fn distances_are_those_of_the_descriptors() {
+        let bytes = numbers(DESCRIPTOR_LEN * 20, 4);
+        let bytes: Vec<u8> = bytes.iter().map(|v| (*v * 1.03) as u8).collect();
+        let all = bytes.as_chunks::<DESCRIPTOR_LEN>().0;
+        let query = [[0; DESCRIPTOR_LEN], [255; DESCRIPTOR_LEN], all[3]];
+        let neighbours: Vec<Neighbour> = [7, 3, 19, 0, 3]
+            .map(|descriptor| Neighbour {
+                descriptor,
+                distance_squared: 0.0,
+            })
+            .to_vec();
+        for query in &query {
+            let mut distances = vec![1, 2];
+            compare(query, all, &neighbours, &mut distances);
+            let exact = neighbours
+                .iter()
+                .map(|n| distance_squared(query, &all[n.descriptor as usize]));
+            assert!(exact.eq(distances.iter().copied()), "{distances:?}");
+        }
     }
 
     /// `|q − w|²` of codes of four bytes, one dimension each, with all of it in the offset and the products.

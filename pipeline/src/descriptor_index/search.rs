@@ -1,4 +1,4 @@
-use super::kernels::{WORDS, estimate, multiply};
+use super::kernels::{WORDS, compare, estimate, multiply};
 use super::{DESCRIPTOR_LEN, DescriptorIndex};
 use crate::features::Descriptor;
 
@@ -20,9 +20,24 @@ pub struct SearchScratch {
     lists: Smallest,
     entries: Smallest,
     found: Vec<Neighbour>,
+    exact: Vec<u32>,
 }
 
 impl DescriptorIndex {
+    /// What [`DescriptorIndex::search`] finds, and the exact distance of each in `all`, the descriptors that the index was made of.
+    pub(crate) fn search_exactly<'a>(
+        &self,
+        query: &Descriptor,
+        all: &[Descriptor],
+        [count, probes]: [usize; 2],
+        scratch: &'a mut SearchScratch,
+    ) -> impl Iterator<Item = (u32, u32)> + 'a {
+        self.search(query, count, probes, scratch);
+        compare(query, all, &scratch.found, &mut scratch.exact);
+        let found = scratch.found.iter().map(|n| n.descriptor);
+        found.zip(scratch.exact.iter().copied())
+    }
+
     /// The `count` descriptors with the smallest estimated distances among those of the `probes` lists whose centroids are
     /// nearest, nearest first.
     pub fn search<'a>(

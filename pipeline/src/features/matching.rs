@@ -104,8 +104,8 @@ pub fn distance_squared(a: &Descriptor, b: &Descriptor) -> u32 {
     a.iter()
         .zip(b)
         .map(|(x, y)| {
-            let difference = i32::from(*x) - i32::from(*y);
-            (difference * difference) as u32
+            let difference = i16::from(*x) - i16::from(*y);
+            (i32::from(difference) * i32::from(difference)) as u32
         })
         .sum()
 }

@@ -332,16 +332,13 @@ impl HdMap {
         scratch: &mut SearchScratch,
     ) -> Vec<MapNeighbour> {
         let compared = compared.max(count);
-        let candidates = self.index.search(query, compared, probes, scratch);
-        let all = self.all_descriptors();
+        let candidates =
+            self.index
+                .search_exactly(query, self.all_descriptors(), [compared, probes], scratch);
         let mut found: Vec<MapNeighbour> = candidates
-            .iter()
-            .map(|c| MapNeighbour {
-                point: self.descriptors.point[c.descriptor as usize],
-                distance_squared: crate::features::matching::distance_squared(
-                    query,
-                    &all[c.descriptor as usize],
-                ),
+            .map(|(descriptor, distance_squared)| MapNeighbour {
+                point: self.descriptors.point[descriptor as usize],
+                distance_squared,
             })
             .collect();
         found.sort_unstable_by_key(|n| (n.distance_squared, n.point));

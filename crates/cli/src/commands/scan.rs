@@ -453,6 +453,9 @@ fn about_odometry(odometry: &LiveOdometryReport) -> String {
     if let Some(loops) = odometry.loops.filter(|loops| *loops > 0) {
         let _ = write!(out, "; {loops} loops");
     }
+    if let Some(scans) = odometry.unsearched_scans.filter(|scans| *scans > 0) {
+        let _ = write!(out, "; loops not looked for at {scans} scans");
+    }
     for (count, what) in [
         (odometry.skipped_scans, "scans"),
         (odometry.skipped_imu_samples, "IMU samples"),

@@ -24,6 +24,9 @@ pub struct LiveOdometryReport {
     /// Places that the walk came back to and that were recognised; absent where nobody looked, as they are looked for to be shown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loops: Option<u64>,
+    /// Scans around which loops may have been missed: the search was behind, or failed; absent as `loops`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unsearched_scans: Option<u64>,
     /// Scans that it was not given because it was behind.
     pub skipped_scans: u64,
     /// Inertial samples that it was not given because it was behind.

@@ -1,7 +1,7 @@
 //! The thread that looks for places that the walk comes back to.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
@@ -17,7 +17,7 @@ const QUEUE_LOOPS: usize = 64;
 
 struct Work {
     step: OdometryStep,
-    /// Whether the walk began again since the step before.
+    /// Whether the walk began again with a step that was passed over before this one.
     begins_again: bool,
 }
 
@@ -25,7 +25,9 @@ struct Work {
 pub struct LoopsThread {
     work: SyncSender<Work>,
     found: Receiver<OnlineLoop>,
+    /// Whether the walk began again with a step that was passed over since.
     begins_again: bool,
+    unsearched: Arc<AtomicU64>,
     end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -41,6 +43,8 @@ impl LoopsThread {
         let (done, found) = sync_channel(QUEUE_LOOPS);
         let end = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&end);
+        let unsearched = Arc::new(AtomicU64::new(0));
+        let failed = Arc::clone(&unsearched);
         let run = move || {
             for work in waiting {
                 if ends.load(Ordering::Relaxed) {
@@ -50,7 +54,11 @@ impl LoopsThread {
                     loops.begin_again();
                 }
                 // A graph that cannot be solved tells of no loop; the next scan has another.
-                for found in loops.push(&work.step).unwrap_or_default() {
+                let Ok(found) = loops.push(&work.step) else {
+                    failed.fetch_add(1, Ordering::Relaxed);
+                    continue;
+                };
+                for found in found {
                     if done.send(found).is_err() {
                         return;
                     }
@@ -65,6 +73,7 @@ impl LoopsThread {
             work,
             found,
             begins_again: false,
+            unsearched,
             end,
             thread: Some(thread),
         }))
@@ -72,9 +81,18 @@ impl LoopsThread {
 
     /// Takes what a scan gave, or passes it over where there is too much to look at.
     pub fn push(&mut self, step: OdometryStep) {
-        let begins_again = step.begins_again() || self.begins_again;
+        let begins_again = self.begins_again;
+        let is_first = step.begins_again();
         let sent = self.work.try_send(Work { step, begins_again });
-        self.begins_again = begins_again && sent.is_err();
+        let is_passed_over = sent.is_err();
+        self.begins_again = is_passed_over && (begins_again || is_first);
+        self.unsearched
+            .fetch_add(u64::from(is_passed_over), Ordering::Relaxed);
+    }
+
+    /// Scans that were passed over, or of which the search failed: loops there are not known of.
+    pub fn unsearched(&self) -> u64 {
+        self.unsearched.load(Ordering::Relaxed)
     }
 
     /// The next loop, if there is one.
@@ -95,5 +113,42 @@ impl Drop for LoopsThread {
             // A panic there has been reported by the panic hook already.
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use lsfb_pipeline::odometry::StepOutcome;
+
+    use super::super::odometry::tests::live;
+    use super::*;
+
+    /// Of a search that was behind all the time, or had ended, no loops were said to be there.
+    #[test]
+    fn scans_that_are_passed_over_are_counted() {
+        let (work, waiting) = sync_channel(1);
+        let (_, found) = sync_channel(1);
+        let mut loops = LoopsThread {
+            work,
+            found,
+            begins_again: false,
+            unsearched: Arc::default(),
+            end: Arc::default(),
+            thread: None,
+        };
+        let mut push = |ms: i64, outcome| {
+            loops.push(live(ms, outcome, Instant::now()).step);
+            loops.unsearched()
+        };
+        assert_eq!(push(100, StepOutcome::First), 0);
+        // Nobody takes the first.
+        assert_eq!(push(200, StepOutcome::First), 1);
+        assert!(!waiting.recv().expect("the first").begins_again);
+        assert_eq!(push(300, StepOutcome::Registered), 1);
+        assert!(waiting.recv().expect("the third").begins_again);
+        drop(waiting);
+        assert_eq!(push(400, StepOutcome::Registered), 2);
     }
 }

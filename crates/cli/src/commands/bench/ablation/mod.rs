@@ -40,7 +40,8 @@ use table::{ALIGNMENT, Method, QUADRANTS, Run, Runs, Setting, Table, text};
 /// choices. Maps of different features (`lsfb map --feature`) have rows of their own: give a walk once for
 /// each. Rows also give the share of ground-truth poses evaluated, and the share of the walk's frames with
 /// a pose; choices for which the walk is refused are counted. Look at errors and completeness together:
-/// one trades against the other. Writes ablation.json and every trajectory.
+/// one trades against the other. Writes ablation.json and every trajectory. Exit code 4: a trajectory does
+/// not follow the ground truth it was held against (another walk's, say), or every walk was refused.
 ///
 /// Examples:
 ///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation
@@ -124,7 +125,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     files::write(&result, serde_json::to_vec_pretty(&table)?)?;
     provenance.write(&result)?;
     context.print(&table, || printable(&text(&table)))?;
-    Ok(Outcome::Done)
+    Ok(Outcome::of(table.verdict()))
 }
 
 /// What all runs of a walk share.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use lsfb_eval::alignment::AlignmentMode;
-use lsfb_types::Finding;
+use lsfb_types::{Finding, Verdict};
 use serde::Serialize;
 
 /// Parts that a map is cut into.
@@ -123,6 +123,18 @@ pub struct Walk {
 pub struct Table {
     pub walks: Vec<Walk>,
     pub rows: Vec<Row>,
+}
+
+impl Table {
+    /// Failed where a trajectory does not follow the ground truth that it was held against (another walk's, say), and where no walk was given
+    /// at all.
+    pub fn verdict(&self) -> Verdict {
+        let runs = || self.rows.iter().flat_map(|row| &row.runs);
+        let mut findings = runs().flat_map(|run| &run.findings);
+        let is_failed = findings.any(|finding| finding.verdict == Verdict::Fail)
+            || runs().all(|run| run.ate_rms_m.is_none());
+        Verdict::Fail.unless(!is_failed)
+    }
 }
 
 /// A row of the runs of one setting.
@@ -303,5 +315,28 @@ mod tests {
         let text = text(&table);
         assert!(text.contains(" 75% xfeat"), "{text}");
         assert!(text.contains("walk 3, without [0]: no"), "{text}");
+    }
+
+    /// Two ground truths in the wrong order were two large errors and nothing else.
+    #[test]
+    fn what_does_not_follow_its_ground_truth_is_no_result() {
+        let verdict_of = |run: Run| {
+            let setting = Setting {
+                method: Method::Motion,
+                map_percent: 0,
+                feature: None,
+                loops: Some(true),
+            };
+            let rows = vec![summary(setting, vec![run])];
+            let walks = Vec::new();
+            Table { walks, rows }.verdict()
+        };
+        let found = |verdict| Run {
+            findings: vec![Finding::new("follows", verdict, "orientations", "")],
+            ..run(1, Some(0.01))
+        };
+        assert_eq!(verdict_of(found(Verdict::Warn)), Verdict::Pass);
+        assert_eq!(verdict_of(found(Verdict::Fail)), Verdict::Fail);
+        assert_eq!(verdict_of(run(1, None)), Verdict::Fail, "all refused");
     }
 }
