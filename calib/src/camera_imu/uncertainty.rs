@@ -2,7 +2,7 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
-use lsfb_solver::{BlockId, influences};
+use lsfb_solver::{BlockId, undamped_step};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 use rayon::prelude::*;
 
@@ -150,7 +150,7 @@ impl RigEstimate {
         }
         let step = |moved| -> Result<DVector<f64>, Error> {
             let (problem, blocks) = self.problem(config, Effort { moved, ..effort })?;
-            Ok(influences(&problem, &asked(&blocks), &[])?.step)
+            Ok(undamped_step(&problem, &asked(&blocks))?)
         };
         let still = step(Moved::Nothing)?;
         let along = |direction| Ok(step(Moved::Along(direction))? - &still);

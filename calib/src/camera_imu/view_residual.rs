@@ -218,17 +218,17 @@ fn make_triangular(table: &mut DMatrix<f64>) {
     for k in 0..columns - 1 {
         let (done, rest) = values.split_at_mut((k + 1) * rows);
         let axis = &mut done[k * rows + k..];
-        let norm = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let norm = dot(axis, axis).sqrt();
         if norm == 0.0 {
             continue;
         }
         // The sign that does not cancel.
         let diagonal = if axis[0] > 0.0 { -norm } else { norm };
         axis[0] -= diagonal;
-        let scale = 2.0 / axis.iter().map(|x| x * x).sum::<f64>();
+        let scale = 2.0 / dot(axis, axis);
         for column in rest.chunks_exact_mut(rows) {
             let column = &mut column[k..];
-            let share = scale * axis.iter().zip(&*column).map(|(a, c)| a * c).sum::<f64>();
+            let share = scale * dot(axis, column);
             for (c, a) in column.iter_mut().zip(&*axis) {
                 *c -= share * a;
             }
@@ -236,6 +236,21 @@ fn make_triangular(table: &mut DMatrix<f64>) {
         axis.fill(0.0);
         axis[0] = diagonal;
     }
+}
+
+/// In sums side by side, none of which waits for another.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    const SUMS: usize = 8;
+    let (a, a_rest) = a.as_chunks::<SUMS>();
+    let (b, b_rest) = b.as_chunks::<SUMS>();
+    let mut sums = [0.0; SUMS];
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    let rest = a_rest.iter().zip(b_rest).map(|(a, b)| a * b);
+    rest.fold(sums.iter().sum(), |sum, product| sum + product)
 }
 
 #[cfg(test)]

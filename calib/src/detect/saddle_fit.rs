@@ -157,9 +157,10 @@ impl Edge {
     fn mean(&self, from_corner: &Vector2<f64>) -> Mean {
         let middle = self.distance(from_corner);
         let steepness = self.steepness;
-        let (high, upper) = tanh_and_integral(middle + 0.5 * steepness);
-        let (low, lower) = tanh_and_integral(middle - 0.5 * steepness);
-        let value = (upper - lower) / steepness;
+        let [upper, lower] = [0.5, -0.5].map(|half| middle + half * steepness);
+        let [(high, more), (low, less)] = [upper, lower].map(tanh_and_excess);
+        // The integral of tanh is ln cosh: |x| + ln(1 + exp(−2|x|)) less a constant.
+        let value = (upper.abs() - lower.abs() + (more / less).ln()) / steepness;
         Mean {
             value,
             by_distance: (high - low) / steepness,
@@ -168,11 +169,11 @@ impl Edge {
     }
 }
 
-/// `tanh` and its integral from 0 less a constant.
-fn tanh_and_integral(x: f64) -> (f64, f64) {
+/// `tanh`, and `1 + exp(−2|x|)`.
+fn tanh_and_excess(x: f64) -> (f64, f64) {
     let far = (-2.0 * x.abs()).exp();
     let tanh = ((1.0 - far) / (1.0 + far)).copysign(x);
-    (tanh, x.abs() + far.ln_1p())
+    (tanh, 1.0 + far)
 }
 
 fn edges(sectors: &Sectors, bends: &[Vector2<f64>; 2]) -> [Edge; 2] {

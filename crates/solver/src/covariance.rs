@@ -197,6 +197,32 @@ impl Factored {
         }
     }
 
+    /// By how much one undamped step would move blocks, in their tangents; components that are held do not move.
+    pub fn step(&mut self, problem: &Problem, blocks: &[BlockId]) -> DVector<f64> {
+        let at_points = self.normal.point_gradient.iter().flat_map(|g| g.iter());
+        let gradient = self.normal.gradient.iter().chain(at_points);
+        let mut moved: Vec<f64> = gradient.map(|g| -g).collect();
+        self.solve_whole(&mut moved);
+        let mut step = Vec::new();
+        for block in blocks {
+            let entry = &problem.blocks[block.0];
+            let first = step.len();
+            step.resize(first + entry.shape.tangent, 0.0);
+            let rows = match self.layout.parts[block.0] {
+                Part::Reduced(i) => self.layout.rows(i),
+                Part::Point(p) => {
+                    let from = self.layout.dimension() + POINT * p;
+                    from..from + POINT
+                }
+                Part::Constant => continue,
+            };
+            for (k, row) in rows.enumerate() {
+                step[first + entry.component(k)] = moved[row];
+            }
+        }
+        DVector::from_vec(step)
+    }
+
     /// `H_pr x_r` of a point, where the reduced rows are moved.
     fn pull_on_point(&self, point: usize, moved: &[f64]) -> Vector3<f64> {
         let mut pull = Vector3::zeros();

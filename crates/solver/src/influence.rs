@@ -1,10 +1,13 @@
 //! What groups of residuals do to a result, and what they should do by their weights.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::covariance::{Covariance, Factored};
-use crate::layout::{POINT, Part};
+use crate::divide::on_pool;
+use crate::evaluation::Evaluation;
+use crate::layout::{Layout, POINT, Part};
 use crate::problem::{BlockId, Problem, ResidualId};
 use crate::residual::CONSTANT;
 
@@ -53,31 +56,26 @@ pub fn influences(
             inverse[(column.row, k)] = *value;
         }
     }
-    let mut group_of = vec![Vec::new(); problem.residuals.len()];
-    for (group, members) in groups.iter().enumerate() {
-        for id in members {
-            if let Some(own) = group_of.get_mut(id.0) {
-                own.push(group);
-            }
-        }
-    }
-    let nothing = Influence {
-        shift: DVector::zeros(size),
-        noise: DMatrix::zeros(size, size),
-    };
-    let mut step = DVector::zeros(size);
-    let mut influences = vec![nothing; groups.len()];
+    let mut position_of = vec![None; problem.residuals.len()];
     for (position, residual) in factored.layout.order.iter().enumerate() {
-        let (error, moves) = factored.moves(problem, position, &inverse);
-        let shift = -(&moves * error);
-        for group in &group_of[*residual as usize] {
-            let influence = &mut influences[*group];
-            influence.shift += &shift;
+        position_of[*residual as usize] = Some(position);
+    }
+    let (layout, evaluation) = (&factored.layout, &factored.evaluation);
+    let influence = |members: &Vec<ResidualId>| {
+        let mut influence = Influence {
+            shift: DVector::zeros(size),
+            noise: DMatrix::zeros(size, size),
+        };
+        for position in members.iter().filter_map(|id| *position_of.get(id.0)?) {
+            let (error, moves) = moves(problem, layout, evaluation, position, &inverse);
+            influence.shift -= &moves * error;
             influence.noise.gemm(1.0, &moves, &moves.transpose(), 1.0);
         }
-        step += shift;
-    }
+        influence
+    };
+    let influences = on_pool(|| groups.par_iter().map(influence).collect());
     factored.evaluation.outcome(problem, &factored.layout)?;
+    let step = factored.step(problem, blocks);
     Ok(Influences {
         covariance: columns.covariance(blocks, matrix),
         step,
@@ -85,47 +83,46 @@ pub fn influences(
     })
 }
 
-impl Factored {
-    /// A residual and `C Jᵀ` of it, with `inverse` the rows of the inverse asked for.
-    fn moves(
-        &self,
-        problem: &Problem,
-        position: usize,
-        inverse: &DMatrix<f64>,
-    ) -> (DVector<f64>, DMatrix<f64>) {
-        let layout = &self.layout;
-        let range = layout.record_start[position]..layout.record_start[position + 1];
-        let mut record = vec![0.0; range.len()];
-        self.evaluation.linearize(
-            problem,
-            layout,
-            &problem.values,
-            position..position + 1,
-            &mut record,
-        );
-        let rows = problem.residuals[layout.order[position] as usize].rows();
-        let mut moves = DMatrix::zeros(inverse.nrows(), rows);
-        for slot in layout.slots_of(position) {
-            if slot.jacobian == CONSTANT {
-                continue;
-            }
-            let columns = match layout.parts[slot.block as usize] {
-                Part::Reduced(i) => layout.rows(i),
-                Part::Point(p) => {
-                    let first = layout.dimension() + POINT * p;
-                    first..first + POINT
-                }
-                Part::Constant => continue,
-            };
-            let free = columns.len();
-            let jacobian = &record[slot.jacobian as usize..][..rows * free];
-            let by_block = DMatrix::from_row_slice(rows, free, jacobian);
-            let of_block = inverse.columns(columns.start, free);
-            moves.gemm(1.0, &of_block, &by_block.transpose(), 1.0);
+/// By how much all residuals together would move blocks from the problem's present values, to first order: `−C Jᵀ r`.
+pub fn undamped_step(problem: &Problem, blocks: &[BlockId]) -> Result<DVector<f64>, Error> {
+    let mut factored = Factored::new(problem, blocks)?;
+    Ok(factored.step(problem, blocks))
+}
+
+/// A residual and `C Jᵀ` of it, with `inverse` the rows of the inverse asked for.
+fn moves(
+    problem: &Problem,
+    layout: &Layout,
+    evaluation: &Evaluation,
+    position: usize,
+    inverse: &DMatrix<f64>,
+) -> (DVector<f64>, DMatrix<f64>) {
+    let range = layout.record_start[position]..layout.record_start[position + 1];
+    let mut record = vec![0.0; range.len()];
+    let only = position..position + 1;
+    evaluation.linearize(problem, layout, &problem.values, only, &mut record);
+    let rows = problem.residuals[layout.order[position] as usize].rows();
+    let mut moves = DMatrix::zeros(inverse.nrows(), rows);
+    for slot in layout.slots_of(position) {
+        if slot.jacobian == CONSTANT {
+            continue;
         }
-        record.truncate(rows);
-        (DVector::from_vec(record), moves)
+        let columns = match layout.parts[slot.block as usize] {
+            Part::Reduced(i) => layout.rows(i),
+            Part::Point(p) => {
+                let first = layout.dimension() + POINT * p;
+                first..first + POINT
+            }
+            Part::Constant => continue,
+        };
+        let free = columns.len();
+        let jacobian = &record[slot.jacobian as usize..][..rows * free];
+        let by_block = DMatrix::from_row_slice(rows, free, jacobian);
+        let of_block = inverse.columns(columns.start, free);
+        moves.gemm(1.0, &of_block, &by_block.transpose(), 1.0);
     }
+    record.truncate(rows);
+    (DVector::from_vec(record), moves)
 }
 
 #[cfg(test)]
@@ -180,6 +177,7 @@ mod tests {
         } = influences(&problem, &asked, &[ids.clone(), group.clone()]).expect("determined");
         assert!(step.amax() < 1e-8, "at a minimum they balance");
         assert_eq!(found, covariance(&problem, &asked).expect("determined"));
+        assert_eq!(step, undamped_step(&problem, &asked).expect("determined"));
         assert!((&parts[0].noise - found.joint()).amax() < 1e-10);
         assert!(parts[0].shift.amax() < 1e-8, "at a minimum they balance");
 
@@ -205,5 +203,26 @@ mod tests {
         assert!(shift.norm() > 1e-3);
         assert!((&parts[1].shift - shift).amax() < 1e-10);
         assert!((&parts[1].noise - noise).amax() < 1e-10);
+    }
+
+    /// Also of an eliminated point, and of a block with a component that is held.
+    #[test]
+    fn one_undamped_step_solves_a_linear_problem_and_groups_add_up_to_it() {
+        let (mut problem, (blocks, points), ids) = solved();
+        let held = problem.set_constant_components(blocks[1], &[1]);
+        held.expect("a component");
+        let best = (problem.value(blocks[0]), problem.value(points[2]));
+        problem.set_value(blocks[0], &(best.0 + Vector2::new(0.3, -2.0)));
+        problem.set_value(points[2], &(best.1 + Vector3::new(5.0, 0.1, -0.7)));
+        let asked = [blocks[0].id(), blocks[1].id(), points[2].id()];
+        let step = undamped_step(&problem, &asked).expect("determined");
+        let all = influences(&problem, &asked, &[ids]).expect("determined");
+        assert!((&all.step - &step).amax() < 1e-12);
+        assert!((&all.groups[0].shift - &step).amax() < 1e-9);
+        let moved = problem.value(blocks[0]) + step.fixed_rows::<2>(0);
+        assert!((moved - best.0).amax() < 1e-8, "{moved} {}", best.0);
+        assert_eq!(step[3], 0.0, "it is held");
+        let moved = problem.value(points[2]) + step.fixed_rows::<3>(4);
+        assert!((moved - best.1).amax() < 1e-8, "{moved} {}", best.1);
     }
 }

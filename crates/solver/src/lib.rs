@@ -37,7 +37,7 @@ pub use covariance::{Covariance, covariance, covariance_of_groups};
 pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;
 pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
-pub use influence::{Influence, Influences, influences};
+pub use influence::{Influence, Influences, influences, undamped_step};
 #[doc(hidden)]
 pub use jacobian_check::check_jacobians;
 pub use manifold::{Manifold, Shape, directions_across};

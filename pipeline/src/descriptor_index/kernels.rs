@@ -8,7 +8,6 @@ use std::hint::black_box;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::Neighbour;
 use crate::features::Descriptor;
 
 /// Centroids that are looked at together: as many sums as the registers of a processor with AVX2 take.
@@ -203,18 +202,18 @@ pub(super) fn estimate<const N: usize>(
     }));
 }
 
-/// Squared distances of a query to some of many descriptors.
+/// Squared distances of a query to some of many descriptors, by their numbers.
 pub(super) fn compare(
     query: &Descriptor,
     all: &[Descriptor],
-    neighbours: &[Neighbour],
+    numbers: impl Iterator<Item = u32> + Clone,
     distances: &mut Vec<u32>,
 ) {
     /// Bytes of a line of the cache.
     const LINE: usize = 64;
     // They lie all over a large table: memory is asked for all of them before the first is waited for.
-    let asked = neighbours.iter().flat_map(|n| {
-        let lines = all[n.descriptor as usize].chunks(LINE);
+    let asked = numbers.clone().flat_map(|number| {
+        let lines = all[number as usize].chunks(LINE);
         lines.map(|line| line[0])
     });
     black_box(asked.fold(0, |any, byte| any | byte));
@@ -222,25 +221,25 @@ pub(super) fn compare(
     Arch::new().dispatch(AppendDistances {
         query,
         all,
-        neighbours,
+        numbers,
         distances,
     });
 }
 
-struct AppendDistances<'a> {
+struct AppendDistances<'a, N> {
     query: &'a Descriptor,
     all: &'a [Descriptor],
-    neighbours: &'a [Neighbour],
+    numbers: N,
     distances: &'a mut Vec<u32>,
 }
 
-impl WithSimd for AppendDistances<'_> {
+impl<N: Iterator<Item = u32>> WithSimd for AppendDistances<'_, N> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) {
-        for neighbour in self.neighbours {
-            let other = &self.all[neighbour.descriptor as usize];
+        for number in self.numbers {
+            let other = &self.all[number as usize];
             // Pairs of sixteen-bit lanes are multiplied and added at once.
             let mut sum = 0;
             for (a, b) in self.query.iter().zip(other) {
@@ -343,19 +342,12 @@ mod tests {
         let bytes: Vec<u8> = bytes.iter().map(|v| (*v * 1.03) as u8).collect();
         let all = bytes.as_chunks::<DESCRIPTOR_LEN>().0;
         let query = [[0; DESCRIPTOR_LEN], [255; DESCRIPTOR_LEN], all[3]];
-        let neighbours: Vec<Neighbour> = [7, 3, 19, 0, 3]
-            .map(|descriptor| Neighbour {
-                descriptor,
-                distance_squared: 0.0,
-            })
-            .to_vec();
+        let numbers = [7, 3, 19, 0, 3];
         for query in &query {
             let mut distances = vec![1, 2];
-            compare(query, all, &neighbours, &mut distances);
-            let exact = neighbours
-                .iter()
-                .map(|n| distance_squared(query, &all[n.descriptor as usize]));
-            assert!(exact.eq(distances.iter().copied()), "{distances:?}");
+            compare(query, all, numbers.into_iter(), &mut distances);
+            let exact = numbers.map(|n| distance_squared(query, &all[n as usize]));
+            assert_eq!(distances, exact);
         }
     }
 

@@ -33,8 +33,8 @@ impl DescriptorIndex {
         scratch: &'a mut SearchScratch,
     ) -> impl Iterator<Item = (u32, u32)> + 'a {
         self.search(query, count, probes, scratch);
-        compare(query, all, &scratch.found, &mut scratch.exact);
         let found = scratch.found.iter().map(|n| n.descriptor);
+        compare(query, all, found.clone(), &mut scratch.exact);
         found.zip(scratch.exact.iter().copied())
     }
 
