@@ -13,7 +13,7 @@ impl Verification {
                 h2 { "Checks" }
                 (scroll(&self.table()))
                 p.note {
-                    "A check warns beyond its first limit and fails beyond its second if the value exceeds three standard deviations; if three standard deviations exceed the second limit, the result is unknown. "
+                    "A significant value (more than three standard deviations) warns above the first limit and fails above the second. Where three standard deviations exceed the second limit, the result is unknown. "
                     "Two milliseconds move the image by a pixel while the rig rotates at 1 rad/s (500 px of focal length); half a degree between camera and IMU is one per cent of every motion; "
                     "0.4° between camera and LiDAR are 2 cm at 3 m; corners are found to a third of a pixel."
                 }

@@ -77,7 +77,7 @@ impl Findings {
         let of = format!("in {scans} scans checked");
         if let Some(back) = seen.arrivals.back() {
             let found = format!(
-                "arrivals of its packets {back}: the host's clock was set, or captures that do not follow each other were joined"
+                "arrivals of its packets {back}: the host's clock was set, or captures from different times were joined"
             );
             let finding = Finding::new("arrivals", Verdict::Warn, &*subject, found);
             self.add(finding.remedy("record again, or cut the capture where it goes back"));

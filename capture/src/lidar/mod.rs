@@ -516,7 +516,7 @@ impl LidarStream {
         }
         if let Some(problem) = self.arrivals.problem() {
             self.report.notes.push(format!(
-                "arrivals of its packets {problem}: the host's clock was set, captures that do not follow each other were joined, or their stamps were removed"
+                "arrivals of its packets {problem}: the host's clock was set, captures from different times were joined, or their stamps were removed"
             ));
         }
         let silent = self.sight.worst().map(lasers::Silent::words);

@@ -354,7 +354,7 @@ impl MappingWarning {
             Self::NoLoops { open_m, within_m } => warn(
                 "no-loops",
                 "trajectory",
-                format!("{open_m:.0} m of the walk in a row are part of no loop: it does not come back to within {within_m} m of where it was before them, and nothing checks how far their end has drifted from their beginning"),
+                format!("no loop closure over {open_m:.0} m of the walk: it does not come back to within {within_m} m of where it was before, so drift there is unchecked"),
             )
             .value(*open_m, "m")
             .limit(Limit::AtMost(LONGEST_WITHOUT_LOOP_M))

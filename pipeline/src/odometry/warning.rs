@@ -578,10 +578,10 @@ fn by_azimuth(scans: u64, of: u64, ring_by_ring: u64, unnumbered: u64) -> String
     let order = match ring_by_ring {
         0 => format!("{these} their points are in firing order"),
         n if n == scans => format!(
-            "{these} their rings, which follow one another, all begin with the turn of the sensor"
+            "{these} every ring, stored one after the other, starts with the sensor's revolution"
         ),
         n => format!(
-            "{these} their points are in firing order, or, in {n} of them, that all rings begin with the turn of the sensor"
+            "{these} their points are in firing order, or, in {n} of them, that every ring starts with the sensor's revolution"
         ),
     };
     if unnumbered == 0 {

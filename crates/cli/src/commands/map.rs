@@ -96,7 +96,7 @@ struct BuildArguments {
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     out_trajectory: Option<PathBuf>,
     /// Also write a page: residuals before and after Eq. 4 (of posed images: reprojection errors, before and
-    /// after cameras and poses were refined), coverage, weakly covered stretches.
+    /// after cameras and poses were refined), coverage, poorly covered stretches.
     #[arg(long, value_name = "HTML")]
     out_report: Option<PathBuf>,
     /// Features of the map: sift (the default), or a network added with `lsfb models add`; aliked-t16 is
@@ -379,7 +379,7 @@ fn from_posed_images(
     context.print(&summary, || {
         let listed = r.as_listed.map_or_else(String::new, |listed| {
             format!(
-                " ({:.3} px with cameras and poses of the list)",
+                " ({:.3} px with the cameras and poses given)",
                 listed.reprojection_rms_px
             )
         });

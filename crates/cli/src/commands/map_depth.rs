@@ -44,8 +44,8 @@ pub struct DepthArguments {
     /// Rig that carries the cameras; by default the scanner's.
     #[arg(long, value_name = "TOML", requires = "poses")]
     rig: Option<PathBuf>,
-    /// Camera to use, once for each; by default all cameras of the rig.
-    #[arg(long = "camera", value_name = "NAME")]
+    /// Cameras to use, separated by commas; by default all cameras of the rig.
+    #[arg(long = "camera", value_name = "NAME", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Use only every n-th pose.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]

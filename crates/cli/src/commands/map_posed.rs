@@ -105,11 +105,11 @@ impl PosedMapJob<'_> {
         let listed = report.as_listed.iter().flat_map(|listed| {
             [
                 px(
-                    "reprojection with cameras and poses of the list, rms",
+                    "reprojection with the cameras and poses given, rms",
                     listed.reprojection_rms_px,
                 ),
                 px(
-                    "reprojection with cameras and poses of the list, median",
+                    "reprojection with the cameras and poses given, median",
                     listed.reprojection_median_px,
                 ),
             ]
@@ -129,7 +129,7 @@ impl PosedMapJob<'_> {
             findings: findings.to_vec(),
             provenance: vec![Line {
                 name: "unit of length".to_owned(),
-                value: "that of the poses of the list".to_owned(),
+                value: "that of the poses given".to_owned(),
             }],
             ..Report::default()
         }

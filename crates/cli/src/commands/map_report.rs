@@ -131,7 +131,7 @@ impl Coverage {
     pub fn tracks(&self, name: &str) -> Vec<Track> {
         let tracks = [
             track(name, self.keyframes.clone()),
-            track("weakly covered", self.weak.clone()),
+            track("poorly covered", self.weak.clone()),
         ];
         let tracks = tracks.into_iter();
         tracks.filter(|track| !track.estimate.is_empty()).collect()
@@ -146,7 +146,7 @@ impl Coverage {
             count("observations", self.track_lengths.iter().sum()),
             count("unused observations", dropped_observations),
             Figure::new("unused observations, share", 100.0 * outlier_share, "%"),
-            count("weakly covered keyframes", self.weak.len() as u64),
+            count("poorly covered keyframes", self.weak.len() as u64),
         ]
     }
 

@@ -67,8 +67,8 @@ pub struct Arguments {
     /// Simulate the night: few lamps are lit, windows and screens are dark.
     #[arg(long, conflicts_with = "config")]
     night: bool,
-    /// Path-trace the light of lamps, sky and sun. Computed once and kept in the folder. A --scene always is
-    /// lit so, by its own lamps (KHR_lights_punctual) and emissive surfaces, unless --simple-light.
+    /// Path-trace the light of lamps, sky and sun. Computed once and kept in the folder. Always used for a
+    /// --scene (its own lamps, KHR_lights_punctual, and emissive surfaces), unless --simple-light.
     #[arg(long, conflicts_with = "config")]
     baked_light: bool,
     /// Show a --scene as bright as its textures are, without any light.

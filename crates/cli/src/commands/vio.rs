@@ -49,8 +49,8 @@ pub struct Arguments {
     /// Trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Camera to use, once for each; by default all cameras of the rig.
-    #[arg(long = "camera", value_name = "NAME")]
+    /// Cameras to use, separated by commas; by default all cameras of the rig.
+    #[arg(long = "camera", value_name = "NAME", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Rig of the device, instead of the recording's own.
     #[arg(long, value_name = "TOML")]

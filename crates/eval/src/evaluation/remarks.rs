@@ -68,7 +68,7 @@ pub(super) fn rows_by_number(truth: &TrajectoryFile, estimate: &TrajectoryFile) 
     let [all, own] = [truth, estimate].map(|file| file.poses.len());
     (is_numbered(truth) && is_numbered(estimate) && all != own).then(|| {
         let what = format!(
-            "neither file has stamps, and {own} rows face {all} of the truth: which of them belong together is unknown"
+            "neither file has stamps, and the estimate has {own} rows, the truth {all}: poses cannot be matched"
         );
         Finding::new(NO_STAMPS, Verdict::Fail, "stamps", what)
             .remedy("write both with stamps (TUM), or one row for every frame")
@@ -256,7 +256,7 @@ fn same(found: &Evaluation) -> Option<Finding> {
     let best_m = errors.min_by(f64::total_cmp)?;
     (best_m < LEAST_ERROR_M).then(|| {
         let what = format!(
-            "the estimate is the ground truth: {best_m:.1e} m rms is less than the error of any estimate"
+            "the estimate looks like the ground truth itself: {best_m:.1e} m rms is below the error of any real estimate"
         );
         Finding::new("same", Verdict::Warn, "positions", what)
             .value(best_m, "m")

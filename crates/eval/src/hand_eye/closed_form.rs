@@ -1,6 +1,7 @@
 //! A first answer without a guess: rotation, then translation of one body in the other, from motions that both made.
 
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
+use lsfb_solver::gauss_newton::NormalEquations;
 use lsfb_types::median;
 
 use crate::Error;
@@ -126,17 +127,13 @@ fn lever(motions: &[Motion], rotation: &UnitQuaternion<f64>) -> Result<Vector3<f
         )
     };
     let solve = |most_m: f64, near: Option<Vector3<f64>>| {
-        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        let mut equations = NormalEquations::<3>::default();
         for (a, b) in motions.iter().map(equation) {
             if near.is_none_or(|t| (a * t - b).norm() <= most_m) {
-                normal += a.transpose() * a;
-                right += a.transpose() * b;
+                equations.add_block(&-b, &a, 1.0);
             }
         }
-        normal
-            .cholesky()
-            .map(|c| c.solve(&right))
-            .ok_or(Error::Degenerate)
+        equations.step().ok_or(Error::Degenerate)
     };
     let mut lever = solve(f64::INFINITY, None)?;
     for _ in 0..3 {

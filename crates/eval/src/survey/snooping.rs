@@ -209,7 +209,7 @@ fn unchecked(reports: &[ObservationReport]) -> Option<Finding> {
 /// Whether residuals are as large as the standard deviations say.
 fn fit(sigma0: Option<f64>, degrees_of_freedom: usize) -> Finding {
     let Some(sigma0) = sigma0 else {
-        let what = "as many measurements as unknowns, so that nothing is checked";
+        let what = "no redundant measurements: errors cannot be detected";
         return Finding::new("fit", Verdict::Warn, "survey", what).remedy("measure more distances");
     };
     let verdict = Verdict::Warn.unless(SIGMA0_RANGE.contains(&sigma0));

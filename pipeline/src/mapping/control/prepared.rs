@@ -312,7 +312,7 @@ impl<'a> Marks<'a> {
             );
         } else if report.map_factor > most {
             report.reason = format!(
-                "even the {held} that agree best differ from the map by {:.1} times their combined standard deviations ({most} at most): more is wrong than single marks",
+                "even the {held} that agree best differ from the map by {:.1} times their combined standard deviations ({most} at most): the problem is not a few bad marks; check units, axes and frame",
                 report.map_factor
             );
         } else {

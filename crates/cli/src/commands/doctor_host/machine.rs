@@ -17,7 +17,7 @@ pub(super) fn governor(root: &Path) -> Finding {
         .filter_map(|core| read(core, "cpufreq/scaling_governor"))
         .collect();
     if governors.is_empty() {
-        return check(name, Verdict::Pass, "does not change", "");
+        return check(name, Verdict::Pass, "fixed (no frequency scaling)", "");
     }
     let slow: Vec<_> = governors.iter().filter(|g| *g != "performance").collect();
     match slow.first() {

@@ -103,7 +103,7 @@ pub fn expect_each_once(cases: &[Case]) -> anyhow::Result<()> {
             |other: &&Case| other.map.feature() == case.map.feature() && other.is_walk_of(case);
         if let Some(again) = cases[..k].iter().find(is_again) {
             bail!(
-                "{}: is {} once more, in a map of the same features ({}): intervals over walks would take it for two",
+                "{}: the same walk as {}, in a map of the same features ({}): intervals over walks would count it twice",
                 case.recording.path().display(),
                 again.recording.path().display(),
                 case.map.feature()

@@ -56,7 +56,7 @@ fn summary(groups: &[Group]) -> Markup {
                 th { "place, device" } th { "walks" } th { "refused" } th { "ATE rms, cm" } th { "target, cm" }
                 th { "ATE of localization alone, cm" } th { "image-to-image jitter, mm" } th { "single-image jitter, mm" }
                 th { "error between frames, mm" } th { "error between frames, °" } th { "poses within 95 %, %" }
-                th { "map in view, s" } th { "of that with a pose, %" }
+                th { "map in view, s" } th { "poses available there, %" }
             } }
             tbody {
                 @for group in groups {
@@ -90,7 +90,7 @@ fn errors(runs: &[Run]) -> Markup {
                 th { "ATE max, cm" } th { "in the map, cm" } th { "jitter, mm" }
                 th { "image-to-image jitter, mm" } th { "single-image jitter, mm" } th { "ratio" } th { "error between frames, mm" }
                 th { "error between frames, °" } th { "ATE of localization alone, cm" } th { "poses within 95 %, %" } th { "exported" } th { "wrong" }
-                th { "left out, s" } th { "map in view, s" } th { "of that with a pose, s" } th { "warnings" } th { "refused" }
+                th { "left out, s" } th { "map in view, s" } th { "poses available there, s" } th { "warnings" } th { "refused" }
             } }
             tbody {
                 @for run in runs {

@@ -219,7 +219,7 @@ pub fn judge(runs: &[Run], size: Size) -> Judgement {
     }
     let mut in_map = runs.iter().filter(|run| run.is_in_map()).peekable();
     if in_map.peek().is_some() && in_map.all(|run| run.refused.is_some()) {
-        let what = "every walk in its own map was refused, so that nothing was shown";
+        let what = "all walks were refused: nothing to evaluate";
         findings.push(Finding::new("all_refused", Verdict::Fail, "trial", what));
     }
     findings.extend(runs.iter().filter(|r| r.is_standard()).flat_map(of_run));
