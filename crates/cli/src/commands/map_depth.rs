@@ -44,7 +44,7 @@ pub struct DepthArguments {
     /// Rig that carries the cameras; by default the scanner's.
     #[arg(long, value_name = "TOML", requires = "poses")]
     rig: Option<PathBuf>,
-    /// Cameras to use, separated by commas; by default all cameras of the rig.
+    /// Cameras to use, separated by commas or once for each; by default all cameras of the rig.
     #[arg(long = "camera", value_name = "NAME", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Use only every n-th pose.

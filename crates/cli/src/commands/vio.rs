@@ -49,7 +49,7 @@ pub struct Arguments {
     /// Trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Cameras to use, separated by commas; by default all cameras of the rig.
+    /// Cameras to use, separated by commas or once for each; by default all cameras of the rig.
     #[arg(long = "camera", value_name = "NAME", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Rig of the device, instead of the recording's own.
