@@ -18,7 +18,7 @@ use crate::config::CameraUnitConfig;
 use crate::control::Control;
 use crate::grey::{is_black, saturated_share, some_pixels};
 use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, RecorderSender, WriterGone};
 
 /// What it sends all the time, beside the samples of its IMU, which are called as that is.
 const IMAGES: &str = "images";
@@ -48,7 +48,7 @@ pub(crate) struct Unit {
 }
 
 /// Tells the recording which cameras share a unit, and what the units say about themselves.
-pub(crate) fn introduce(units: &[Unit], inlet: &Inlet) {
+pub(crate) fn introduce(units: &[Unit], to_recorder: &RecorderSender) {
     if units.is_empty() {
         return;
     }
@@ -79,7 +79,7 @@ pub(crate) fn introduce(units: &[Unit], inlet: &Inlet) {
     attachments.push(CameraUnit::attachment(&listed));
     for attachment in attachments {
         // A writer that is gone reports itself.
-        let _ = inlet
+        let _ = to_recorder
             .waiting()
             .put(Entry::Attachment(attachment), &mut StreamReport::default());
     }
@@ -88,7 +88,7 @@ pub(crate) fn introduce(units: &[Unit], inlet: &Inlet) {
 /// Records until the unit ends or the session stops. A unit that goes away may come back.
 pub(crate) fn record(
     mut unit: Unit,
-    inlet: &Inlet,
+    to_recorder: &RecorderSender,
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
@@ -97,7 +97,7 @@ pub(crate) fn record(
     stream.report.ending = loop {
         match unit.camera.recv(stream.patience()) {
             Ok(Some(packet)) => {
-                if stream.frame(&packet, inlet, control, meter).is_err() {
+                if stream.frame(&packet, to_recorder, control, meter).is_err() {
                     break Ending::Stopped;
                 }
             }
@@ -111,7 +111,11 @@ pub(crate) fn record(
                 }
             }
         }
-        if stream.poll_imu(&mut unit.camera, inlet, meter).is_err() || control.is_stopping() {
+        if stream
+            .poll_imu(&mut unit.camera, to_recorder, meter)
+            .is_err()
+            || control.is_stopping()
+        {
             break Ending::Stopped;
         }
     };
@@ -202,7 +206,7 @@ impl CameraStream {
     pub(crate) fn frame(
         &mut self,
         packet: &Packet,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         control: &Control,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
@@ -211,7 +215,7 @@ impl CameraStream {
             Ok(Some(decoded)) => {
                 let images = decoded.sample.images.len() as u64;
                 meter.heard_part(IMAGES, 1);
-                self.images(decoded, packet, inlet, meter)?;
+                self.images(decoded, packet, to_recorder, meter)?;
                 control.progress.images.fetch_add(images, Ordering::Relaxed);
             }
             Ok(None) => {}
@@ -226,7 +230,7 @@ impl CameraStream {
         &mut self,
         decoded: Decoded<UnitFrame>,
         packet: &Packet,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
         let frame = decoded.sample;
@@ -262,7 +266,7 @@ impl CameraStream {
             let due = |model: &&mut ModelTopic| model.is_due(&reading, decoded.arrival);
             for model in self.models.iter_mut().filter(due) {
                 let entry = model.entry(&reading, time, decoded.arrival);
-                inlet.put(entry, &mut self.report)?;
+                to_recorder.put(entry, &mut self.report)?;
             }
         }
         // The trailer lies under the last pixels of the last image.
@@ -280,7 +284,7 @@ impl CameraStream {
                 trailer: trailer.to_vec(),
             };
             self.report.decoded += 1;
-            inlet.put(entry, &mut self.report)?;
+            to_recorder.put(entry, &mut self.report)?;
         }
         Ok(())
     }
@@ -289,7 +293,7 @@ impl CameraStream {
     fn poll_imu(
         &mut self,
         camera: &mut MyntCamera,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
         let Some(imu) = &mut self.imu else {
@@ -323,7 +327,7 @@ impl CameraStream {
             time: arrival,
         };
         imu.answers += 1;
-        inlet.put(raw, &mut self.report)?;
+        to_recorder.put(raw, &mut self.report)?;
         let Some(external) = imu.external else {
             let excess = imu.early.len().saturating_sub(MOST_EARLY_SAMPLES);
             imu.early.drain(..excess);
@@ -352,7 +356,7 @@ impl CameraStream {
             if let Some(reading) = reading
                 && imu.model.is_due(&reading, arrival)
             {
-                inlet.put(imu.model.entry(&reading, time, arrival), &mut self.report)?;
+                to_recorder.put(imu.model.entry(&reading, time, arrival), &mut self.report)?;
             }
             let entry = Entry::Imu {
                 imu: imu.name.clone(),
@@ -363,7 +367,7 @@ impl CameraStream {
                     sample: decoded.sample,
                 },
             };
-            inlet.put(entry, &mut self.report)?;
+            to_recorder.put(entry, &mut self.report)?;
         }
         Ok(())
     }

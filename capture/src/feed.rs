@@ -6,7 +6,7 @@ use lsfb_geometry::Rig;
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped};
 
 use crate::config::{Overflow, RecorderConfig};
-use crate::recorder::{self, Entry, Inlet, Recorder};
+use crate::recorder::{self, Entry, Recorder, RecorderSender};
 use crate::{CaptureReport, Error, StreamReport};
 
 /// A recording in progress, fed from any number of threads through [`Feeder`]s.
@@ -17,7 +17,7 @@ pub struct Feed {
 
 /// One thread's way into a [`Feed`].
 pub struct Feeder {
-    inlet: Inlet,
+    to_recorder: RecorderSender,
     report: StreamReport,
 }
 
@@ -40,7 +40,7 @@ impl Feed {
     /// A way in for the device `name`.
     pub fn feeder(&self, name: &str) -> Feeder {
         Feeder {
-            inlet: self.recorder.inlet(),
+            to_recorder: self.recorder.sender(),
             report: StreamReport::new(name),
         }
     }
@@ -92,6 +92,6 @@ impl Feeder {
     fn put(&mut self, entry: Entry) -> bool {
         self.report.received += 1;
         self.report.decoded += 1;
-        self.inlet.put(entry, &mut self.report).is_ok()
+        self.to_recorder.put(entry, &mut self.report).is_ok()
     }
 }

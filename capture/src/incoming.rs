@@ -13,7 +13,7 @@ use crate::control::Control;
 use crate::health::{Ending, Meter, StreamReport};
 use crate::imu::{self, ImuStream};
 use crate::lidar::LidarStream;
-use crate::recorder::{self, Inlet, Recorder, WriterGone};
+use crate::recorder::{self, Recorder, RecorderSender, WriterGone};
 use crate::sidecar::{Apps, Topics};
 use crate::{CaptureReport, Error};
 
@@ -66,8 +66,8 @@ pub fn record_incoming(
     let rig = config.rig.as_deref().map(Rig::read).transpose()?;
     let names: Vec<Vec<String>> = config.cameras.iter().map(|c| c.names.clone()).collect();
     let recorder = Recorder::start(out, rig, &names, &config.recorder, Overflow::Wait)?;
-    let inlet = recorder.inlet();
-    imu::introduce(&config.imus, &inlet);
+    let to_recorder = recorder.sender();
+    imu::introduce(&config.imus, &to_recorder);
     let mut streams = Streams::new(config)?;
     let mut ending = Ending::EndOfStream;
     let mut told = Ok(());
@@ -79,13 +79,13 @@ pub fn record_incoming(
                 total: 0,
             });
         }
-        if told.is_err() || streams.take(item, &inlet).is_err() {
+        if told.is_err() || streams.take(item, &to_recorder).is_err() {
             ending = Ending::Stopped;
             break;
         }
     }
-    let reports = streams.finish(&ending, &inlet);
-    drop(inlet);
+    let reports = streams.finish(&ending, &to_recorder);
+    drop(to_recorder);
     let written = recorder.finish(&reports)?;
     told.inspect_err(|_| written.discard())?;
     Ok(written.report(out, reports))
@@ -112,7 +112,7 @@ impl Sidecar {
         &mut self,
         arrival: Timestamp,
         message: SidecarMessage,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
     ) -> Result<(), WriterGone> {
         match &message {
             SidecarMessage::Hello(hello) => self.device.clone_from(&hello.device),
@@ -125,7 +125,8 @@ impl Sidecar {
             _ => {}
         }
         let device = &self.device;
-        self.apps.message(device, arrival, message, None, inlet)
+        self.apps
+            .message(device, arrival, message, None, to_recorder)
     }
 }
 
@@ -159,31 +160,31 @@ impl Streams {
         })
     }
 
-    fn take(&mut self, item: Incoming, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn take(&mut self, item: Incoming, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         match item {
             Incoming::Lidar { lidar, packet } => match self.lidars.get_mut(lidar) {
-                Some(stream) => stream.push(packet, inlet),
+                Some(stream) => stream.push(packet, to_recorder),
                 None => Ok(()),
             },
             Incoming::Imu { imu, packet } => match self.imus.get_mut(imu) {
-                Some((stream, meter)) => stream.packet(packet, inlet, meter),
+                Some((stream, meter)) => stream.packet(packet, to_recorder, meter),
                 None => Ok(()),
             },
             Incoming::Frame { unit, packet } => match self.cameras.get_mut(unit) {
-                Some((stream, meter)) => stream.frame(&packet, inlet, &self.control, meter),
+                Some((stream, meter)) => stream.frame(&packet, to_recorder, &self.control, meter),
                 None => Ok(()),
             },
             Incoming::Sidecar { arrival, message } => match &mut self.sidecar {
-                Some(sidecar) => sidecar.take(arrival, message, inlet),
+                Some(sidecar) => sidecar.take(arrival, message, to_recorder),
                 None => Ok(()),
             },
         }
     }
 
-    fn finish(self, ending: &Ending, inlet: &Inlet) -> Vec<StreamReport> {
+    fn finish(self, ending: &Ending, to_recorder: &RecorderSender) -> Vec<StreamReport> {
         let mut reports = Vec::new();
         let lidars = self.lidars.into_iter();
-        reports.extend(lidars.map(|s| s.finish(ending.clone(), inlet)));
+        reports.extend(lidars.map(|s| s.finish(ending.clone(), to_recorder)));
         for (stream, _) in self.cameras {
             let report = stream.finish();
             reports.push(StreamReport {
@@ -193,7 +194,7 @@ impl Streams {
         }
         for (mut stream, meter) in self.imus {
             // A writer that is gone reports itself.
-            let _ = stream.rest(inlet, &meter);
+            let _ = stream.rest(to_recorder, &meter);
             reports.push(StreamReport {
                 ending: ending.clone(),
                 ..stream.finish(0)

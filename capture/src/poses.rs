@@ -7,7 +7,7 @@ use lsfb_recording::TF;
 use lsfb_recording::message;
 use lsfb_types::Timestamp;
 
-use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
+use crate::recorder::{Entry, OwnMessage, RecorderSender, WriterGone};
 use crate::report::StreamReport;
 
 /// Poses between their author and the recording: some seconds of a LiDAR's.
@@ -56,7 +56,7 @@ pub(crate) fn poses() -> (Poses, PoseQueue) {
 
 impl PoseQueue {
     /// Hands what has come to the writer.
-    pub(crate) fn forward(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+    pub(crate) fn forward(&mut self, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         while let Ok(known) = self.queue.try_recv() {
             let message = OwnMessage {
                 topic: TF.to_owned(),
@@ -65,7 +65,7 @@ impl PoseQueue {
                 arrival: known.arrival,
                 bytes: message::encode_odometry(known.time, &known.odom_from_rig),
             };
-            inlet.put(Entry::Own(message), &mut self.report)?;
+            to_recorder.put(Entry::Own(message), &mut self.report)?;
         }
         Ok(())
     }

@@ -7,7 +7,7 @@ use lsfb_recording::message::{self, Remark};
 use lsfb_types::Timestamp;
 
 use crate::Error;
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, RecorderSender, WriterGone};
 use crate::report::StreamReport;
 
 /// Remarks between their author and the recording.
@@ -60,7 +60,7 @@ pub(crate) fn remarks() -> (Remarks, RemarkQueue) {
 
 impl RemarkQueue {
     /// Hands what has come to the writer.
-    pub(crate) fn forward(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+    pub(crate) fn forward(&mut self, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         while let Ok(queued) = self.queue.try_recv() {
             let entry = Entry::Cdr {
                 topic: REMARKS.to_owned(),
@@ -72,7 +72,7 @@ impl RemarkQueue {
                 receipt: None,
             };
             // A person's words are worth waiting for.
-            inlet.waiting().put(entry, &mut self.report)?;
+            to_recorder.waiting().put(entry, &mut self.report)?;
         }
         Ok(())
     }

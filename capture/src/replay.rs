@@ -15,7 +15,7 @@ use lsfb_types::{Progress, ProgressFn, Timestamp};
 use crate::config::{Overflow, RecorderConfig, check_device_names};
 use crate::health::{Ending, Meter, StreamReport};
 use crate::lidar::{LidarStream, Lidars};
-use crate::recorder::{self, Inlet, Recorder, WriterGone};
+use crate::recorder::{self, Recorder, RecorderSender, WriterGone};
 use crate::{CaptureReport, Error};
 
 /// Packets between two looks at progress.
@@ -65,10 +65,10 @@ pub fn replay(
         })),
     };
     let import = Import::begin(out, config.rig.clone(), &config.recorder)?;
-    let (ending, told) = import.take_all(progress, |inlet| {
+    let (ending, told) = import.take_all(progress, |to_recorder| {
         // A file gives its packets or its end at once.
         match source.recv(Duration::ZERO) {
-            Ok(Some(packet)) => match lidars.push(packet, source.sender(), inlet) {
+            Ok(Some(packet)) => match lidars.push(packet, source.sender(), to_recorder) {
                 Ok(_) => lidars.mixture().map_or(Next::Taken, Next::Refused),
                 Err(WriterGone) => Next::Ended(Ending::Stopped),
             },
@@ -77,8 +77,8 @@ pub fn replay(
             Err(error) => Next::Ended(Ending::Lost(error.to_string())),
         }
     });
-    let told = told.and_then(|()| lidars.drain(&import.inlet));
-    let reports = lidars.finish(&ending, &import.inlet);
+    let told = told.and_then(|()| lidars.drain(&import.to_recorder));
+    let reports = lidars.finish(&ending, &import.to_recorder);
     import.finish(reports, told)
 }
 
@@ -117,7 +117,7 @@ pub fn replay_recording(
     }
     let rig = config.rig.clone().or_else(|| recording.rig().ok());
     let import = Import::begin(out, rig, &config.recorder)?;
-    let (ending, told) = import.take_all(progress, |inlet| {
+    let (ending, told) = import.take_all(progress, |to_recorder| {
         let sources = sources.iter_mut().zip(&mut streams);
         let earliest = sources
             .filter_map(|(source, stream)| Some((source.next_arrival()?, source, stream)))
@@ -126,7 +126,7 @@ pub fn replay_recording(
             return Next::Ended(Ending::EndOfStream);
         };
         match source.next() {
-            Some(Ok(recorded)) => match stream.push(recorded.packet, inlet) {
+            Some(Ok(recorded)) => match stream.push(recorded.packet, to_recorder) {
                 Ok(()) => stream.mixture().map_or(Next::Taken, Next::Refused),
                 Err(WriterGone) => Next::Ended(Ending::Stopped),
             },
@@ -144,9 +144,9 @@ pub fn replay_recording(
     });
     let told = told.and_then(|()| {
         let mut streams = streams.iter_mut();
-        streams.try_for_each(|stream| stream.drain(&import.inlet))
+        streams.try_for_each(|stream| stream.drain(&import.to_recorder))
     });
-    let finish = |stream: LidarStream| stream.finish(ending.clone(), &import.inlet);
+    let finish = |stream: LidarStream| stream.finish(ending.clone(), &import.to_recorder);
     let reports = streams.into_iter().map(finish).collect();
     import.finish(reports, told)
 }
@@ -199,18 +199,18 @@ enum Next {
 struct Import<'a> {
     out: &'a Path,
     recorder: Recorder,
-    inlet: Inlet,
+    to_recorder: RecorderSender,
 }
 
 impl<'a> Import<'a> {
     fn begin(out: &'a Path, rig: Option<Rig>, config: &RecorderConfig) -> Result<Self, Error> {
         recorder::make_folder(out)?;
         let recorder = Recorder::start(out, rig, &[], config, Overflow::Wait)?;
-        let inlet = recorder.inlet();
+        let to_recorder = recorder.sender();
         Ok(Self {
             out,
             recorder,
-            inlet,
+            to_recorder,
         })
     }
 
@@ -218,7 +218,7 @@ impl<'a> Import<'a> {
     fn take_all(
         &self,
         progress: ProgressFn<'_>,
-        mut take: impl FnMut(&Inlet) -> Next,
+        mut take: impl FnMut(&RecorderSender) -> Next,
     ) -> (Ending, Result<(), Error>) {
         for packets in 0.. {
             if u64::is_multiple_of(packets, SHOW_EVERY) {
@@ -231,7 +231,7 @@ impl<'a> Import<'a> {
                     return (Ending::Stopped, Err(stopped.into()));
                 }
             }
-            match take(&self.inlet) {
+            match take(&self.to_recorder) {
                 Next::Taken => {}
                 Next::Ended(ending) => return (ending, Ok(())),
                 Next::Refused(error) => return (Ending::Stopped, Err(error)),
@@ -245,7 +245,7 @@ impl<'a> Import<'a> {
         streams: Vec<StreamReport>,
         told: Result<(), Error>,
     ) -> Result<CaptureReport, Error> {
-        drop(self.inlet);
+        drop(self.to_recorder);
         let written = self.recorder.finish(&streams)?;
         told.inspect_err(|_| written.discard())?;
         Ok(written.report(self.out, streams))

@@ -157,13 +157,13 @@ impl Session {
         if self.poses.is_some() {
             recorder.expect_odometry();
         }
-        camera::introduce(&cameras, &recorder.inlet());
-        imu::introduce(&self.config.imus, &recorder.inlet());
+        camera::introduce(&cameras, &recorder.sender());
+        imu::introduce(&self.config.imus, &recorder.sender());
         let finite = cameras.len() + imus.len() + usize::from(self.sidecar.is_some());
         let mut threads = Threads::new(
             Control::of(finite, self.counts.clone()),
             self.config.overflow,
-            recorder.inlet().tapped(self.tap),
+            recorder.sender().tapped(self.tap),
             self.remarks,
             self.poses,
         );
@@ -171,7 +171,7 @@ impl Session {
             let names: Vec<String> = listening.lidars.iter().map(|l| l.name.clone()).collect();
             let devices = names.iter().map(|name| (name.clone(), lidar::expected()));
             threads.start_group(&names.join("+"), devices, |on| {
-                lidar::record(listening, on.inlet, on.control, on.meters)
+                lidar::record(listening, on.to_recorder, on.control, on.meters)
             })?;
         }
         for (index, unit) in cameras.into_iter().enumerate() {
@@ -182,7 +182,7 @@ impl Session {
                 expected: camera::expected(&unit.config),
             };
             threads.start(device, move |on| {
-                camera::record(unit, on.inlet, on.control, on.meter)
+                camera::record(unit, on.to_recorder, on.control, on.meter)
             })?;
         }
         for line in imus {
@@ -194,7 +194,7 @@ impl Session {
                 expected: imu::expected(&line.config),
             };
             threads.start(device, |on| {
-                imu::record(line, on.inlet, on.control, on.meter)
+                imu::record(line, on.to_recorder, on.control, on.meter)
             })?;
         }
         if let (Some(server), Some(sidecar)) = (self.sidecar, &self.config.sidecar) {
@@ -211,8 +211,8 @@ impl Session {
                 expected: Vec::new(),
             };
             threads.start(device, move |on| {
-                let inlet = on.inlet.waiting();
-                sidecar::record(server, place, come_back, &inlet, on.control, on.meter)
+                let to_recorder = on.to_recorder.waiting();
+                sidecar::record(server, place, come_back, &to_recorder, on.control, on.meter)
             })?;
         }
         let monitor = Monitor::new(

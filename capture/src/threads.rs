@@ -10,7 +10,7 @@ use crate::config::Overflow;
 use crate::control::{Control, POLL};
 use crate::health::{Expected, Meter, Monitor};
 use crate::poses::PoseQueue;
-use crate::recorder::{self, Inlet, Recorder};
+use crate::recorder::{self, Recorder, RecorderSender};
 use crate::remark::RemarkQueue;
 use crate::report::StreamReport;
 
@@ -23,7 +23,7 @@ pub(crate) enum Ends {
 
 /// What a device's thread works with.
 pub(crate) struct DeviceContext<'a> {
-    pub(crate) inlet: &'a Inlet,
+    pub(crate) to_recorder: &'a RecorderSender,
     pub(crate) control: &'a Control,
     pub(crate) meter: &'a Meter,
 }
@@ -38,7 +38,7 @@ pub(crate) struct Device<'a> {
 
 /// What several devices on one thread work with.
 pub(crate) struct GroupContext<'a> {
-    pub(crate) inlet: &'a Inlet,
+    pub(crate) to_recorder: &'a RecorderSender,
     pub(crate) control: &'a Control,
     /// One for each of them, in their order.
     pub(crate) meters: &'a [Meter],
@@ -50,7 +50,7 @@ pub(crate) struct Threads {
     overflow: Overflow,
     running: Vec<(String, JoinHandle<Vec<StreamReport>>)>,
     meters: Vec<Meter>,
-    inlet: Inlet,
+    to_recorder: RecorderSender,
     remarks: Option<RemarkQueue>,
     poses: Option<PoseQueue>,
 }
@@ -59,7 +59,7 @@ impl Threads {
     pub(crate) fn new(
         control: Control,
         overflow: Overflow,
-        inlet: Inlet,
+        to_recorder: RecorderSender,
         remarks: Option<RemarkQueue>,
         poses: Option<PoseQueue>,
     ) -> Self {
@@ -68,7 +68,7 @@ impl Threads {
             overflow,
             running: Vec::new(),
             meters: Vec::new(),
-            inlet,
+            to_recorder,
             remarks,
             poses,
         }
@@ -84,9 +84,9 @@ impl Threads {
         work: impl FnOnce(&DeviceContext<'_>) -> StreamReport + Send + 'static,
     ) -> Result<(), Error> {
         let meter = self.meter(device.name, device.expected);
-        self.spawn(device.thread, device.ends, move |inlet, control| {
+        self.spawn(device.thread, device.ends, move |to_recorder, control| {
             let mut report = work(&DeviceContext {
-                inlet,
+                to_recorder,
                 control,
                 meter: &meter,
             });
@@ -107,9 +107,9 @@ impl Threads {
         let meters: Vec<Meter> = devices
             .map(|(name, expected)| self.meter(&name, expected))
             .collect();
-        self.spawn(thread, Ends::Never, move |inlet, control| {
+        self.spawn(thread, Ends::Never, move |to_recorder, control| {
             let mut reports = work(&GroupContext {
-                inlet,
+                to_recorder,
                 control,
                 meters: &meters,
             });
@@ -134,11 +134,11 @@ impl Threads {
         &mut self,
         thread: &str,
         ends: Ends,
-        work: impl FnOnce(&Inlet, &Control) -> Vec<StreamReport> + Send + 'static,
+        work: impl FnOnce(&RecorderSender, &Control) -> Vec<StreamReport> + Send + 'static,
     ) -> Result<(), Error> {
-        let (inlet, control) = (self.inlet.clone(), Arc::clone(&self.control));
+        let (to_recorder, control) = (self.to_recorder.clone(), Arc::clone(&self.control));
         let handle = recorder::spawn(thread, move || {
-            let reports = work(&inlet, &control);
+            let reports = work(&to_recorder, &control);
             if ends == Ends::ByItself {
                 control.leave();
             }
@@ -158,10 +158,10 @@ impl Threads {
         while !self.running.iter().all(|(_, thread)| thread.is_finished()) {
             if let Some(remarks) = &mut self.remarks {
                 // A writer that is gone ends the loop by itself.
-                let _ = remarks.forward(&self.inlet);
+                let _ = remarks.forward(&self.to_recorder);
             }
             if let Some(poses) = &mut self.poses {
-                let _ = poses.forward(&self.inlet);
+                let _ = poses.forward(&self.to_recorder);
             }
             let told = progress(Progress {
                 stage: "recording",
@@ -176,7 +176,7 @@ impl Threads {
         }
         if let Some(mut remarks) = self.remarks.take() {
             // What was said last.
-            let _ = remarks.forward(&self.inlet);
+            let _ = remarks.forward(&self.to_recorder);
         }
         // What happened since the last snapshot is told too, a device that was lost above all.
         monitor.finish();

@@ -64,6 +64,7 @@ pub(super) fn table(
                 loop_translation_m: checked.map(|c| c.0.fixed_rows::<3>(3).norm()),
                 chi_square: checked.map(|c| c.1),
                 outlier: false,
+                verdict: Verdict::Unknown,
             }
         })
         .collect()
@@ -118,6 +119,9 @@ pub(super) fn judge(
             edge.outlier = edge.chi_square.is_some_and(|c| c > (1.0 - ALIKE) * worst);
         }
     }
+    for edge in table.iter_mut() {
+        edge.verdict = verdict(edge, relative);
+    }
     findings.extend(contradictions(table));
     let others = table.iter().filter(|e| !e.outlier);
     findings.extend(others.map(|e| agreement(e, relative)));
@@ -156,6 +160,51 @@ pub(super) fn judge(
     findings
 }
 
+/// How an edge came out; where weights are `relative`, their spread says nothing of that, and the width of its loops does.
+fn verdict(edge: &EdgeConsistency, relative: bool) -> Verdict {
+    if edge.outlier {
+        return Verdict::Fail;
+    }
+    if edge.chi_square.is_none() {
+        return Verdict::Warn;
+    }
+    match wide_loop(edge, relative) {
+        None => Verdict::Pass,
+        Some(wide) if wide.value > BROKEN * wide.most => Verdict::Fail,
+        Some(_) => Verdict::Warn,
+    }
+}
+
+/// What an edge is off by around its loops, and what it may be.
+struct LoopWidth {
+    value: f64,
+    unit: &'static str,
+    most: f64,
+}
+
+fn loop_widths(edge: &EdgeConsistency) -> [LoopWidth; 2] {
+    let turn_rad = edge.loop_rotation_rad.unwrap_or_default();
+    let shift_m = edge.loop_translation_m.unwrap_or_default();
+    [
+        LoopWidth {
+            value: turn_rad.to_degrees(),
+            unit: "°",
+            most: LARGE_LOOP_DEG,
+        },
+        LoopWidth {
+            value: shift_m * 1e3,
+            unit: "mm",
+            most: LARGE_LOOP_MM,
+        },
+    ]
+}
+
+/// The first that is too much, where that is judged at all.
+fn wide_loop(edge: &EdgeConsistency, relative: bool) -> Option<LoopWidth> {
+    let is_wide = |width: &LoopWidth| relative && width.value > width.most;
+    loop_widths(edge).into_iter().find(is_wide)
+}
+
 /// Edges that contradict all others; none where they follow each other in every loop, and nobody knows which.
 fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
     let outliers: Vec<&EdgeConsistency> = table.iter().filter(|e| e.outlier).collect();
@@ -169,7 +218,8 @@ fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
     };
     let finding = |subject: String, what: String| {
         let chi_square = outliers.first().and_then(|e| e.chi_square);
-        Finding::new("contradiction", Verdict::Fail, subject, what)
+        let verdict = Verdict::worst(outliers.iter().map(|e| e.verdict));
+        Finding::new("contradiction", verdict, subject, what)
             .value(chi_square.unwrap_or(f64::NAN), "")
             .limit(Limit::AtMost(NUMBERS * f_quantile(RARE, NUMBERS, MANY)))
     };
@@ -196,33 +246,23 @@ fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
     }
 }
 
-/// How an edge that is no outlier agrees with the others; where weights are `relative`, their spread says nothing of that.
+/// How an edge that is no outlier agrees with the others.
 fn agreement(edge: &EdgeConsistency, relative: bool) -> Finding {
     let subject = name(edge);
     let Some(chi_square) = edge.chi_square else {
         let what = format!("{subject} is unchecked: no other path connects the two sensors");
-        return Finding::new("unchecked", Verdict::Warn, subject, what)
+        return Finding::new("unchecked", edge.verdict, subject, what)
             .remedy("add a transform that closes a loop");
     };
-    let turn_deg = edge.loop_rotation_rad.unwrap_or_default().to_degrees();
-    let shift_mm = edge.loop_translation_m.unwrap_or_default() * 1e3;
+    let [turn_deg, shift_mm] = loop_widths(edge).map(|width| width.value);
     let what = format!("closes its loops to {turn_deg:.3}° and {shift_mm:.2} mm");
-    for (value, unit, most) in [
-        (turn_deg, "°", LARGE_LOOP_DEG),
-        (shift_mm, "mm", LARGE_LOOP_MM),
-    ] {
-        if relative && value > most {
-            let verdict = match value > BROKEN * most {
-                true => Verdict::Fail,
-                false => Verdict::Warn,
-            };
-            return Finding::new("wide-loop", verdict, subject, what)
-                .value(value, unit)
-                .limit(Limit::AtMost(most))
-                .remedy("measure the transforms of these sensors again: the rig cannot be more accurate than its loops");
-        }
+    if let Some(wide) = wide_loop(edge, relative) {
+        return Finding::new("wide-loop", edge.verdict, subject, what)
+            .value(wide.value, wide.unit)
+            .limit(Limit::AtMost(wide.most))
+            .remedy("measure the transforms of these sensors again: the rig cannot be more accurate than its loops");
     }
-    Finding::new("loop", Verdict::Pass, subject, what)
+    Finding::new("loop", edge.verdict, subject, what)
         .value(chi_square, "")
         .limit(Limit::AtMost(NUMBERS * f_quantile(RARE, NUMBERS, MANY)))
 }

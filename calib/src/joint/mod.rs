@@ -18,7 +18,7 @@ use lsfb_geometry::{CameraSigmas, Matrix6, Rig, Se3};
 use lsfb_solver::{
     Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve_until_converged,
 };
-use lsfb_types::{Bounds, Finding};
+use lsfb_types::{Bounds, Finding, Verdict};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -99,6 +99,9 @@ pub struct EdgeConsistency {
     pub chi_square: Option<f64>,
     /// Whether this is more than accident explains.
     pub outlier: bool,
+    /// How it came out, as the finding about it says.
+    #[serde(skip)]
+    pub verdict: Verdict,
 }
 
 /// All sensors in one frame.

@@ -1,7 +1,7 @@
 //! The report as one HTML page.
 
 use lsfb_report::{Page, badge, bars, scroll};
-use lsfb_types::{Judgement, Verdict};
+use lsfb_types::Judgement;
 use maud::{Markup, html};
 
 use super::{EdgeConsistency, JointCalibration};
@@ -86,7 +86,7 @@ impl JointCalibration {
                                 td { (format!("{:.2}", shift * 1e3)) }
                                 td { (format!("{chi:.1}")) }
                             } @else { td { "–" } td { "–" } td { "–" } }
-                            td { @if e.outlier { (badge(Verdict::Fail)) } @else if e.chi_square.is_none() { (badge(Verdict::Unknown)) } }
+                            td { (badge(e.verdict)) }
                         }
                     }
                 }

@@ -5,7 +5,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 
 use super::association::direction_name;
 use super::solved::{Solved, patch};
-use super::{LidarCameraCalibration, MountedBoard, Scene};
+use super::{LidarCameraCalibration, MountedBoard, PoseFit, Scene};
 use crate::PatternExcess;
 use crate::findings::unseen_corners;
 
@@ -178,8 +178,19 @@ pub(super) fn findings(
     out
 }
 
+impl PoseFit {
+    /// Of a pose that was left out nothing is known; one that does not fit is left out.
+    pub fn verdict(&self) -> Verdict {
+        match self.rejected {
+            Some(_) => Verdict::Unknown,
+            None => Verdict::Pass,
+        }
+    }
+}
+
 fn poses_left_out(c: &LidarCameraCalibration) -> Finding {
-    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
+    let is_left_out = |p: &&PoseFit| p.verdict() == Verdict::Unknown;
+    let left_out = c.poses.iter().filter(is_left_out).count();
     let is_good = 4 * left_out <= c.poses.len();
     let what = format!("{left_out} of {} poses were left out", c.poses.len());
     Finding::new("poses", Verdict::Warn.unless(is_good), "poses", what)

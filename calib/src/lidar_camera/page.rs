@@ -1,7 +1,7 @@
 //! The report as one HTML page.
 
 use lsfb_report::{Normal, Page, arrows, badge, bars, coverage, scroll};
-use lsfb_types::{Judgement, Verdict};
+use lsfb_types::Judgement;
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
@@ -210,7 +210,7 @@ impl LidarCameraCalibration {
                             td { (format!("{:.1}", p.center_error_m * 1e3)) }
                             td { (format!("{:.2}", p.normal_error_rad.to_degrees())) }
                             td { (format!("{:.2}", p.corner_rms_px)) }
-                            td.words { @if let Some(why) = &p.rejected { (badge(Verdict::Unknown)) " " (why) } }
+                            td.words { (badge(p.verdict())) @if let Some(why) = &p.rejected { " " (why) } }
                         }
                     }
                 }

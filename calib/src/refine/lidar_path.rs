@@ -36,7 +36,7 @@ pub(super) struct LidarPath<'a> {
     world_from_lidar: Vec<Se3>,
     /// What each scan knew of its pose, perturbed on the right.
     information: Vec<Matrix6<f64>>,
-    turning: PredictedRotation<'a>,
+    predicted_rotation: PredictedRotation<'a>,
 }
 
 /// The way, and the place as all scans have it; `None` where scans do not fit on each other.
@@ -49,12 +49,12 @@ pub(super) fn follow<'a>(
     let Some(lidar) = rig.lidar() else {
         return Ok(None);
     };
-    let turning = PredictedRotation {
+    let predicted_rotation = PredictedRotation {
         gyro,
         lidar_from_rig: lidar.rig_from_lidar.rotation.inverse(),
         bias_rad_s: Vector3::zeros(),
     };
-    let Some(mut path) = register_in_sequence(scans, turning, progress)? else {
+    let Some(mut path) = register_in_sequence(scans, predicted_rotation, progress)? else {
         return Ok(None);
     };
     path.realign_start(scans);
@@ -64,7 +64,8 @@ pub(super) fn follow<'a>(
             done: round as u64,
             total: ROUNDS as u64,
         })?;
-        path.turning.fit(&path.times_s, &path.world_from_lidar);
+        path.predicted_rotation
+            .fit(&path.times_s, &path.world_from_lidar);
         let still = path.deskewed(scans);
         let place = path.place(&still);
         let refined: Vec<(Se3, Matrix6<f64>)> = still
@@ -85,7 +86,7 @@ pub(super) fn follow<'a>(
 /// Each scan after the one before, onto planes of all before.
 fn register_in_sequence<'a>(
     scans: &[Scan],
-    turning: PredictedRotation<'a>,
+    predicted_rotation: PredictedRotation<'a>,
     progress: ProgressFn,
 ) -> Result<Option<LidarPath<'a>>, Stopped> {
     let mut surfaces = OverlappingPlanesBuilder::default();
@@ -93,7 +94,7 @@ fn register_in_sequence<'a>(
         times_s: Vec::new(),
         world_from_lidar: Vec::new(),
         information: Vec::new(),
-        turning,
+        predicted_rotation,
     };
     for (k, scan) in scans.iter().enumerate() {
         if k % 16 == 0 {
@@ -108,7 +109,7 @@ fn register_in_sequence<'a>(
         let from_world = pose.rotation.inverse();
         let motion = Motion::sampled(scan.span_ns(), |offset_ns| {
             let at_s = scan.time_s(offset_ns);
-            let turn = path.turning.between(scan.middle_s, at_s);
+            let turn = path.predicted_rotation.between(scan.middle_s, at_s);
             Some(Se3::new(turn, from_world * speed * (at_s - scan.middle_s)))
         });
         let returns = scan.returns.iter().step_by(every);
@@ -153,8 +154,8 @@ impl LidarPath<'_> {
                 speed = last.rotation * (inverse * shown * (last.rotation.inverse() * whole));
             }
         }
-        let turn = if self.turning.gyro.is_some() {
-            self.turning.between(self.times_s[n - 1], time_s)
+        let turn = if self.predicted_rotation.gyro.is_some() {
+            self.predicted_rotation.between(self.times_s[n - 1], time_s)
         } else if n > 1 {
             let before = self.world_from_lidar[n - 2].rotation.inverse() * last.rotation;
             let share = since_s / (self.times_s[n - 1] - self.times_s[n - 2]);
@@ -188,9 +189,9 @@ impl LidarPath<'_> {
             return None;
         }
         let share = (time_s - t[k]) / gap_s;
-        let whole = self.turning.between(t[k], t[k + 1]);
+        let whole = self.predicted_rotation.between(t[k], t[k + 1]);
         let left = so3::local(&(a.rotation * whole), &b.rotation);
-        let turned = a.rotation * self.turning.between(t[k], time_s);
+        let turned = a.rotation * self.predicted_rotation.between(t[k], time_s);
         let rotation = so3::retract(&turned, &(left * share));
         let speed = |k: usize| {
             let (from, to) = (k.saturating_sub(1), (k + 1).min(t.len() - 1));
@@ -267,7 +268,7 @@ impl LidarPath<'_> {
     /// Scans as they lie on planes and the gyroscope's turns between them, together.
     fn join_with_gyro(&mut self) {
         let n = self.times_s.len();
-        if self.turning.gyro.is_none() || n < 2 {
+        if self.predicted_rotation.gyro.is_none() || n < 2 {
             return;
         }
         let Some(joined) = self.joined_with_gyro() else {
@@ -302,7 +303,10 @@ impl LidarPath<'_> {
                 continue;
             }
             let turn = RelativePose {
-                a_from_b: Se3::new(self.turning.between(t[0], t[1]), Vector3::zeros()),
+                a_from_b: Se3::new(
+                    self.predicted_rotation.between(t[0], t[1]),
+                    Vector3::zeros(),
+                ),
                 sqrt_information,
             };
             let added =

@@ -12,7 +12,9 @@ use super::{
     DeviceHealth, HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState,
 };
 use crate::config::DevicesConfig;
-use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, WritingProgress, free_bytes_of};
+use crate::recorder::{
+    Entry, OwnMessage, Recorder, RecorderSender, Shared, WritingProgress, free_bytes_of,
+};
 
 /// Twice a second, so that nothing is shown later than one second after it happened.
 const PERIOD: Duration = Duration::from_millis(500);
@@ -37,7 +39,7 @@ pub(crate) struct Monitor {
     /// Which of them had a problem when they were looked at last.
     alarmed: Vec<bool>,
     shared: Shared,
-    inlet: Inlet,
+    to_recorder: RecorderSender,
     feed: HealthFeed,
     folders: Vec<PathBuf>,
     reserve_bytes: u64,
@@ -66,7 +68,7 @@ impl Monitor {
             alarmed: vec![false; meters.len()],
             meters,
             shared: recorder.shared(),
-            inlet: recorder.inlet().dropping(),
+            to_recorder: recorder.sender().dropping(),
             feed,
             folders: [folder]
                 .into_iter()
@@ -263,6 +265,6 @@ impl Monitor {
             bytes: message::encode_health_value(time, device, &value),
         };
         // A full queue has its own quantity; a writer that has gone reports itself.
-        let _ = self.inlet.put(Entry::Own(message), &mut self.own);
+        let _ = self.to_recorder.put(Entry::Own(message), &mut self.own);
     }
 }

@@ -15,7 +15,7 @@ use crate::config::ImuLineConfig;
 use crate::control::Control;
 use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, RecorderSender, WriterGone};
 
 pub(crate) use unit::ImuUnit;
 use unit::{ImuDecoder, Reading};
@@ -38,14 +38,14 @@ fn told_hz(line: &ImuLineConfig) -> Option<f64> {
 }
 
 /// Says in the recording what the units are.
-pub(crate) fn introduce(lines: &[ImuLineConfig], inlet: &Inlet) {
+pub(crate) fn introduce(lines: &[ImuLineConfig], to_recorder: &RecorderSender) {
     for line in lines {
         let mut note = DeviceNote::new(&line.name).with("family", line.family.key());
         if let Some(rate_hz) = told_hz(line) {
             note = note.with_rate_hz(rate_hz);
         }
         // A writer that is gone reports itself.
-        let _ = inlet
+        let _ = to_recorder
             .waiting()
             .put(Entry::Device(note), &mut StreamReport::default());
     }
@@ -112,7 +112,7 @@ pub(crate) struct Line {
 /// Records until the unit ends or the session stops. A unit that goes away may come back.
 pub(crate) fn record(
     mut line: Line,
-    inlet: &Inlet,
+    to_recorder: &RecorderSender,
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
@@ -125,7 +125,7 @@ pub(crate) fn record(
                 last_heard = Instant::now();
                 let arrival = packet.arrival;
                 let before = stream.report.decoded;
-                let put = stream.packet(packet, inlet, meter);
+                let put = stream.packet(packet, to_recorder, meter);
                 if put.is_err() {
                     break Ending::Stopped;
                 }
@@ -159,7 +159,7 @@ pub(crate) fn record(
         }
     };
     // A failed writer reports itself.
-    let _ = stream.rest(inlet, meter);
+    let _ = stream.rest(to_recorder, meter);
     stream.finish(line.unit.kernel_drops())
 }
 
@@ -190,7 +190,7 @@ impl ImuStream {
     pub(crate) fn packet(
         &mut self,
         packet: Packet,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
         let readings = self.decoder.push(&packet);
@@ -203,20 +203,24 @@ impl ImuStream {
             time,
         };
         self.report.received += 1;
-        inlet.put(raw, &mut self.report)?;
-        self.put(readings, inlet, meter)
+        to_recorder.put(raw, &mut self.report)?;
+        self.put(readings, to_recorder, meter)
     }
 
     /// What the decoder still holds at the end.
-    pub(crate) fn rest(&mut self, inlet: &Inlet, meter: &Meter) -> Result<(), WriterGone> {
+    pub(crate) fn rest(
+        &mut self,
+        to_recorder: &RecorderSender,
+        meter: &Meter,
+    ) -> Result<(), WriterGone> {
         let readings = self.decoder.finish();
-        self.put(readings, inlet, meter)
+        self.put(readings, to_recorder, meter)
     }
 
     fn put(
         &mut self,
         readings: Vec<Reading>,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
         for reading in readings {
@@ -229,7 +233,7 @@ impl ImuStream {
             {
                 meter.set_sync(how.sync_state(), how.steps());
                 let model = self.clock.model.entry(&how, time, reading.arrival);
-                inlet.put(model, &mut self.report)?;
+                to_recorder.put(model, &mut self.report)?;
             }
             let Some(sample) = reading.sample else {
                 continue;
@@ -250,7 +254,7 @@ impl ImuStream {
                 imu: self.name.clone(),
                 sample,
             };
-            inlet.put(entry, &mut self.report)?;
+            to_recorder.put(entry, &mut self.report)?;
         }
         Ok(())
     }

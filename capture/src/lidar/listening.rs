@@ -12,7 +12,7 @@ use super::LidarStream;
 use super::shared_ports::{Admission, Lidars};
 use crate::control::Control;
 use crate::health::{Ending, Meter, StreamReport};
-use crate::recorder::{Inlet, WriterGone};
+use crate::recorder::{RecorderSender, WriterGone};
 
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
@@ -60,7 +60,7 @@ impl<'a> Alive<'a> {
 /// Records until the session stops, or until the others have ended and nothing comes any more. One report for each LiDAR.
 pub(crate) fn record(
     listening: Listening,
-    inlet: &Inlet,
+    to_recorder: &RecorderSender,
     control: &Control,
     meters: &[Meter],
 ) -> Vec<StreamReport> {
@@ -77,7 +77,7 @@ pub(crate) fn record(
         match source.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
                 let sender = source.sender();
-                match lidars.push(packet, sender, inlet) {
+                match lidars.push(packet, sender, to_recorder) {
                     Ok(Admission::Taken) => {
                         last_heard = Instant::now();
                         alive.set(true);
@@ -106,7 +106,7 @@ pub(crate) fn record(
         }
     };
     alive.set(false);
-    let mut reports = lidars.finish(&ending, inlet);
+    let mut reports = lidars.finish(&ending, to_recorder);
     if source.kernel_drops() > 0 {
         let drops = format!(
             "the kernel dropped {} packets: raise net.core.rmem_max (receive buffer: {} bytes)",

@@ -26,7 +26,7 @@ use crate::clock::{LidarClock, PositionFix};
 use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
 use crate::order::Order;
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, RecorderSender, WriterGone};
 pub(crate) use listening::{Listened, Listening, record};
 pub(crate) use shared_ports::Lidars;
 pub(crate) use sight::Sight;
@@ -138,7 +138,11 @@ impl LidarStream {
     }
 
     /// Takes a datagram of this LiDAR: a data packet, a position packet, or what nobody knows.
-    pub(crate) fn push(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+    pub(crate) fn push(
+        &mut self,
+        packet: Packet,
+        to_recorder: &RecorderSender,
+    ) -> Result<(), WriterGone> {
         let is_data = self.decoder.is_data(&packet.bytes);
         let position = self.decoder.position(&packet.bytes, packet.arrival);
         self.report.received += 1;
@@ -148,7 +152,7 @@ impl LidarStream {
         if is_data {
             self.meter.heard_part(DATA, 1);
             for packet in self.reorder.push(packet) {
-                self.ordered(packet, inlet)?;
+                self.ordered(packet, to_recorder)?;
             }
             return Ok(());
         }
@@ -156,15 +160,15 @@ impl LidarStream {
             _ if self.decoder.is_beside(&packet.bytes) => {
                 self.meter.heard_part(POSITION, 1);
                 let time = packet.arrival;
-                self.put_beside(packet, time, inlet)
+                self.put_beside(packet, time, to_recorder)
             }
-            Some(position) => self.position(position, packet, inlet),
-            None => self.strange(packet, inlet),
+            Some(position) => self.position(position, packet, to_recorder),
+            None => self.strange(packet, to_recorder),
         }
     }
 
     /// A datagram that no LiDAR sends, kept as it came.
-    fn strange(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn strange(&mut self, packet: Packet, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         // The decoder says whose it seems to be.
         if let Err(error) = self.decoder.push(&packet) {
             self.refused(&error);
@@ -177,7 +181,7 @@ impl LidarStream {
             packet,
             time,
         };
-        inlet.put(raw, &mut self.report)
+        to_recorder.put(raw, &mut self.report)
     }
 
     fn refused(&mut self, error: &DecodeError) {
@@ -202,10 +206,10 @@ impl LidarStream {
     }
 
     /// Data packets in the order in which they were sent.
-    fn ordered(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn ordered(&mut self, packet: Packet, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         if self.clock.is_decided() || self.held.len() >= HELD_PACKETS {
-            self.release(inlet)?;
-            self.data(packet, inlet)
+            self.release(to_recorder)?;
+            self.data(packet, to_recorder)
         } else {
             self.held.push(packet);
             Ok(())
@@ -213,9 +217,9 @@ impl LidarStream {
     }
 
     /// Data packets waiting for a clock go through with the clock as it is.
-    fn release(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn release(&mut self, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         for packet in std::mem::take(&mut self.held) {
-            self.data(packet, inlet)?;
+            self.data(packet, to_recorder)?;
         }
         Ok(())
     }
@@ -224,7 +228,7 @@ impl LidarStream {
         &mut self,
         position: Result<Position, WireError>,
         packet: Packet,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
     ) -> Result<(), WriterGone> {
         self.meter.heard_part(POSITION, 1);
         let mut time = packet.arrival;
@@ -244,7 +248,7 @@ impl LidarStream {
             }
             Err(error) => self.report.count_bad(error),
         }
-        self.put_beside(packet, time, inlet)
+        self.put_beside(packet, time, to_recorder)
     }
 
     /// Records a packet beside the data as it came.
@@ -252,7 +256,7 @@ impl LidarStream {
         &mut self,
         packet: Packet,
         time: Timestamp,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
     ) -> Result<(), WriterGone> {
         let raw = Entry::Raw {
             source: lidar_position(&self.name),
@@ -262,20 +266,20 @@ impl LidarStream {
             time,
         };
         self.positions += 1;
-        inlet.put(raw, &mut self.report)
+        to_recorder.put(raw, &mut self.report)
     }
 
-    fn data(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn data(&mut self, packet: Packet, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         match self.decoder.push(&packet) {
             Ok(scan) => {
                 if let Some(scan) = scan {
-                    self.scan(scan, inlet)?;
+                    self.scan(scan, to_recorder)?;
                 }
             }
             Err(error) => self.refused(&error),
         }
         while let Some(scan) = self.decoder.ready() {
-            self.scan(scan, inlet)?;
+            self.scan(scan, to_recorder)?;
         }
         // Scans above are of packets before this one, and of the clock as it was then.
         if let Some(toh_ns) = device_ns(&packet.bytes) {
@@ -312,7 +316,11 @@ impl LidarStream {
         self.meter.set_stale(problem.map(Cow::Borrowed));
     }
 
-    fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn scan(
+        &mut self,
+        scan: Decoded<LidarScan>,
+        to_recorder: &RecorderSender,
+    ) -> Result<(), WriterGone> {
         self.report.decoded += 1;
         self.take_counters();
         let has_returns = !scan.sample.points.is_empty();
@@ -333,7 +341,7 @@ impl LidarStream {
         self.without_scan.note(Says::news_if(is_turn), scan.arrival);
         let time = self.clock.time(device_ns, scan.arrival);
         self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));
-        self.note_device(inlet)?;
+        self.note_device(to_recorder)?;
         let jumps = self.decoder.counters().clock_jumps;
         let epoch = u32::try_from(jumps).unwrap_or(u32::MAX).saturating_add(1);
         let reading = match (self.clock.estimate(), self.clock.holdover_since()) {
@@ -356,7 +364,7 @@ impl LidarStream {
         {
             self.meter.set_sync(reading.sync_state(), reading.steps());
             let entry = self.model.entry(&reading, time, scan.arrival);
-            inlet.put(entry, &mut self.report)?;
+            to_recorder.put(entry, &mut self.report)?;
         }
         let scan = Stamped {
             time,
@@ -364,7 +372,7 @@ impl LidarStream {
             device_ticks: scan.device_ticks,
             sample: scan.sample,
         };
-        inlet.put(
+        to_recorder.put(
             Entry::Scan {
                 lidar: self.name.clone(),
                 scan,
@@ -387,7 +395,7 @@ impl LidarStream {
     }
 
     /// Says in the recording what the sensor is, where that is new.
-    fn note_device(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn note_device(&mut self, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         let Some(found) = self.decoder.found() else {
             return Ok(());
         };
@@ -407,7 +415,7 @@ impl LidarStream {
             return Ok(());
         }
         self.noted.push(note.clone());
-        inlet.put(Entry::Device(note), &mut self.report)
+        to_recorder.put(Entry::Device(note), &mut self.report)
     }
 
     /// Whether it has ended, after less than what counts as a stretch, without a single return.
@@ -449,16 +457,16 @@ impl LidarStream {
     }
 
     /// Decodes what was held back, as nothing more comes, and refuses packets of two sensors.
-    pub(crate) fn drain(&mut self, inlet: &Inlet) -> Result<(), Error> {
+    pub(crate) fn drain(&mut self, to_recorder: &RecorderSender) -> Result<(), Error> {
         // A failed writer reports itself.
-        let _ = self.finish_scans(inlet);
+        let _ = self.finish_scans(to_recorder);
         self.mixture().map_or(Ok(()), Err)
     }
 
     /// Ends the stream.
-    pub(crate) fn finish(mut self, ending: Ending, inlet: &Inlet) -> StreamReport {
+    pub(crate) fn finish(mut self, ending: Ending, to_recorder: &RecorderSender) -> StreamReport {
         // A failed writer reports itself.
-        let _ = self.finish_scans(inlet);
+        let _ = self.finish_scans(to_recorder);
         self.take_counters();
         self.has_ended = true;
         self.sight.finish();
@@ -554,13 +562,13 @@ impl LidarStream {
         Some(what)
     }
 
-    fn finish_scans(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn finish_scans(&mut self, to_recorder: &RecorderSender) -> Result<(), WriterGone> {
         for packet in self.reorder.finish() {
-            self.ordered(packet, inlet)?;
+            self.ordered(packet, to_recorder)?;
         }
-        self.release(inlet)?;
+        self.release(to_recorder)?;
         while let Some(scan) = self.decoder.finish() {
-            self.scan(scan, inlet)?;
+            self.scan(scan, to_recorder)?;
         }
         let packets = std::mem::take(&mut self.revolution);
         match (packets.is_empty(), self.last_data_time) {
@@ -571,7 +579,7 @@ impl LidarStream {
                     time,
                     packets,
                 };
-                inlet.put(rest, &mut self.report)
+                to_recorder.put(rest, &mut self.report)
             }
             _ => Ok(()),
         }

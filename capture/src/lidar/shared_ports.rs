@@ -11,7 +11,7 @@ use super::LidarStream;
 use super::senders::Strangers;
 use crate::Error;
 use crate::health::{Ending, Meter, StreamReport};
-use crate::recorder::{Inlet, WriterGone};
+use crate::recorder::{RecorderSender, WriterGone};
 
 /// LiDARs in one capture file that are told apart. Each takes memory, and a file may name any number of senders.
 const MOST_FOUND: usize = 16;
@@ -90,12 +90,12 @@ impl Lidars {
         &mut self,
         packet: Packet,
         sender: Option<IpAddr>,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
     ) -> Result<Admission, WriterGone> {
         let Some(lidar) = self.of(sender, &packet.bytes) else {
             return Ok(Admission::KeptOut);
         };
-        lidar.stream.push(packet, inlet)?;
+        lidar.stream.push(packet, to_recorder)?;
         Ok(Admission::Taken)
     }
 
@@ -170,16 +170,16 @@ impl Lidars {
     }
 
     /// Decodes what was held back, as nothing more comes, and refuses packets of two sensors.
-    pub(crate) fn drain(&mut self, inlet: &Inlet) -> Result<(), Error> {
+    pub(crate) fn drain(&mut self, to_recorder: &RecorderSender) -> Result<(), Error> {
         let mut streams = self.lidars.iter_mut();
-        streams.try_for_each(|lidar| lidar.stream.drain(inlet))
+        streams.try_for_each(|lidar| lidar.stream.drain(to_recorder))
     }
 
     /// Ends the streams: one report for each LiDAR.
-    pub(crate) fn finish(self, ending: &Ending, inlet: &Inlet) -> Vec<StreamReport> {
+    pub(crate) fn finish(self, ending: &Ending, to_recorder: &RecorderSender) -> Vec<StreamReport> {
         let streams = self.lidars.into_iter();
         let mut reports: Vec<StreamReport> = streams
-            .map(|lidar| lidar.stream.finish(ending.clone(), inlet))
+            .map(|lidar| lidar.stream.finish(ending.clone(), to_recorder))
             .collect();
         if let Some(first) = reports.first_mut() {
             first.notes.extend(self.strangers.remarks());

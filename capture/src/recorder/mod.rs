@@ -94,7 +94,7 @@ impl Shared {
 
 /// Where device threads put entries.
 #[derive(Clone)]
-pub(crate) struct Inlet {
+pub(crate) struct RecorderSender {
     queue: SyncSender<Queued>,
     shared: Shared,
     limit_bytes: u64,
@@ -102,7 +102,7 @@ pub(crate) struct Inlet {
     tap: Option<TapSender>,
 }
 
-impl Inlet {
+impl RecorderSender {
     /// For a device whose protocol makes the other side wait, so that nothing ever needs to be dropped.
     pub(crate) fn waiting(&self) -> Self {
         Self {
@@ -219,7 +219,7 @@ impl Written {
 /// The writing thread.
 pub(crate) struct Recorder {
     thread: JoinHandle<Result<Written, Error>>,
-    inlet: Inlet,
+    to_recorder: RecorderSender,
 }
 
 impl Recorder {
@@ -237,31 +237,34 @@ impl Recorder {
         let shared = Shared::default();
         let writing = writing::Writing::new(parts, Groups::new(cameras), shared.clone());
         let thread = spawn("recorder", move || writing.run(&entries))?;
-        let inlet = Inlet {
+        let to_recorder = RecorderSender {
             queue,
             shared,
             limit_bytes: config.queue_bytes,
             overflow,
             tap: None,
         };
-        Ok(Self { thread, inlet })
+        Ok(Self {
+            thread,
+            to_recorder,
+        })
     }
 
     /// The rig's poses follow: to be called before any other entry is put.
     pub(crate) fn expect_odometry(&self) {
         // A writer that is gone reports itself.
         let _ = self
-            .inlet
+            .to_recorder
             .waiting()
             .put(Entry::OdometryFollows, &mut StreamReport::default());
     }
 
-    pub(crate) fn inlet(&self) -> Inlet {
-        self.inlet.clone()
+    pub(crate) fn sender(&self) -> RecorderSender {
+        self.to_recorder.clone()
     }
 
     pub(crate) fn shared(&self) -> Shared {
-        self.inlet.shared.clone()
+        self.to_recorder.shared.clone()
     }
 
     /// Whether the writer has given up.
@@ -269,15 +272,15 @@ impl Recorder {
         self.thread.is_finished()
     }
 
-    /// Writes what waits and what became of the devices, and closes the file. Every other [`Inlet`] must be gone.
+    /// Writes what waits and what became of the devices, and closes the file. Every other [`RecorderSender`] must be gone.
     pub(crate) fn finish(self, streams: &[StreamReport]) -> Result<Written, Error> {
         // A writer that failed says so when it is joined.
         let ended = Entry::Ended(streams.to_vec());
         let _ = self
-            .inlet
+            .to_recorder
             .waiting()
             .put(ended, &mut StreamReport::default());
-        drop(self.inlet);
+        drop(self.to_recorder);
         join("recorder", self.thread)?
     }
 }

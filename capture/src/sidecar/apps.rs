@@ -14,7 +14,7 @@ use super::pseudonyms::Pseudonyms;
 use crate::clock::OneWayClock;
 use crate::health::{Meter, StreamReport};
 use crate::receipt::Receipt;
-use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
+use crate::recorder::{Entry, OwnMessage, RecorderSender, WriterGone};
 use crate::wifi_scans::WifiScans;
 
 /// Key of the rig's TOML in a channel's static metadata.
@@ -183,7 +183,7 @@ impl Apps {
         arrival: Timestamp,
         message: SidecarMessage,
         receipt: Option<Receipt>,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
     ) -> Result<(), WriterGone> {
         let app = self.apps.entry(device.to_owned()).or_default();
         match message {
@@ -200,7 +200,7 @@ impl Apps {
                     },
                 );
                 match rig {
-                    Some(Ok(rig)) => inlet.put(
+                    Some(Ok(rig)) => to_recorder.put(
                         Entry::Rig {
                             owner: device.to_owned(),
                             rig: Box::new(rig),
@@ -230,7 +230,7 @@ impl Apps {
                     let time = clock.time(device_time_ns, channel.last_device_ns, arrival);
                     channel.last_device_ns = Some(device_time_ns);
                     if let Some(entry) = channel.device_time(time, arrival, device_time_ns) {
-                        inlet.put(entry, &mut self.report)?;
+                        to_recorder.put(entry, &mut self.report)?;
                     }
                     time
                 };
@@ -266,7 +266,7 @@ impl Apps {
                     bytes,
                     receipt,
                 };
-                inlet.put(entry, &mut self.report)?;
+                to_recorder.put(entry, &mut self.report)?;
             }
             SidecarMessage::Hello(_)
             | SidecarMessage::TimeRequest(_)

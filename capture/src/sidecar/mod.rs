@@ -30,7 +30,7 @@ pub(crate) use topics::{CAMERA_INFO, TIME_SYNC, Topics, is_recorders_own};
 
 use crate::control::Control;
 use crate::health::{Connection, Ending, Meter, StreamReport};
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, RecorderSender, WriterGone};
 
 /// How long to wait for an event before it is looked whether the session stops.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -41,7 +41,7 @@ pub(crate) fn record(
     mut server: SidecarServer,
     place: RecordingFolders,
     come_back: Duration,
-    inlet: &Inlet,
+    to_recorder: &RecorderSender,
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
@@ -55,7 +55,7 @@ pub(crate) fn record(
     let mut all_gone = false;
     let ending = loop {
         if let Some(event) = server.recv(LOOK_EVERY) {
-            if recording.take(event, inlet, meter).is_err() {
+            if recording.take(event, to_recorder, meter).is_err() {
                 break Ending::Stopped;
             }
             let decoded = recording.apps.report.decoded;
@@ -111,7 +111,7 @@ impl Recording {
     fn take(
         &mut self,
         event: SidecarEvent,
-        inlet: &Inlet,
+        to_recorder: &RecorderSender,
         meter: &Meter,
     ) -> Result<(), WriterGone> {
         match event {
@@ -131,7 +131,7 @@ impl Recording {
                     .extend(self.presence.come(&hello.device, connection));
                 if let Some(start) = start {
                     let message = start.message(&hello.device, arrival);
-                    inlet.put(Entry::Own(message), report)?;
+                    to_recorder.put(Entry::Own(message), report)?;
                 }
                 meter.heard(report, arrival);
             }
@@ -142,7 +142,7 @@ impl Recording {
                 receipt,
             } => {
                 let apps = &mut self.apps;
-                apps.message(&device, arrival, message, receipt, inlet)?;
+                apps.message(&device, arrival, message, receipt, to_recorder)?;
                 meter.heard(&apps.report, arrival);
             }
             SidecarEvent::Time {
@@ -153,7 +153,7 @@ impl Recording {
             } => {
                 self.apps.exchange(&device, &clock_id, &exchange);
                 let message = time_sync::message(&device, &clock_id, &exchange, arrival);
-                inlet.put(Entry::Own(message), &mut self.apps.report)?;
+                to_recorder.put(Entry::Own(message), &mut self.apps.report)?;
             }
             SidecarEvent::Pushed {
                 device,

@@ -21,7 +21,7 @@ pub struct JointFocalLength {
 
 /// What all images say of one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JointVerdict {
+pub enum FocalLengthDecision {
     /// It was taken with another focal length, as all were.
     Refused,
     /// Its own focal length is no reason to refuse it.
@@ -88,15 +88,15 @@ impl JointFocalLength {
     }
 
     /// What this says of an image that was localized by itself, or was not.
-    pub fn judge(&self, evidence: &Evidence, localized: bool) -> JointVerdict {
+    pub fn judge(&self, evidence: &Evidence, localized: bool) -> FocalLengthDecision {
         let alone = evidence.contradicts_focal_length();
         let together = self.contradicts(evidence);
         if together && self.is_another() && (localized || alone) {
-            JointVerdict::Refused
+            FocalLengthDecision::Refused
         } else if alone && !together {
-            JointVerdict::Borne
+            FocalLengthDecision::Borne
         } else {
-            JointVerdict::AsAlone
+            FocalLengthDecision::AsAlone
         }
     }
 

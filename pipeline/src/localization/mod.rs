@@ -39,7 +39,7 @@ pub use config::LocalizerConfig;
 #[cfg(test)]
 pub(crate) use elsewhere::Elsewhere;
 pub(crate) use elsewhere::{PlacedFrame, find_elsewhere, localize_near};
-pub use joint_focal_length::{JointFocalLength, JointVerdict};
+pub use joint_focal_length::{FocalLengthDecision, JointFocalLength};
 pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
 pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};

@@ -9,7 +9,7 @@ use lsfb_types::{ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 use rayon::prelude::*;
 
 use super::expected::{WalkMotion, knowledge};
-use super::joint_focal_length::{JointFocalLength, JointVerdict};
+use super::joint_focal_length::{FocalLengthDecision, JointFocalLength};
 use super::prior::PoseKnowledge;
 use super::sequence::{refuse_contradicted, refuse_hardly_recognised};
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
@@ -93,15 +93,15 @@ pub fn judge_together(
     };
     let judged = found.into_iter().map(|found| match found {
         Ok(best) => match joint.judge(&best.evidence, true) {
-            JointVerdict::Refused => refused(Box::new(best)),
-            JointVerdict::Borne | JointVerdict::AsAlone => Ok(best),
+            FocalLengthDecision::Refused => refused(Box::new(best)),
+            FocalLengthDecision::Borne | FocalLengthDecision::AsAlone => Ok(best),
         },
         Err(NotLocalized {
             reason: NotLocalizedReason::FocalLength { best, joint: alone },
         }) => match joint.judge(&best.evidence, false) {
-            JointVerdict::Refused => refused(best),
-            JointVerdict::Borne if best.probability >= min_probability => Ok(*best),
-            JointVerdict::Borne | JointVerdict::AsAlone => Err(NotLocalized {
+            FocalLengthDecision::Refused => refused(best),
+            FocalLengthDecision::Borne if best.probability >= min_probability => Ok(*best),
+            FocalLengthDecision::Borne | FocalLengthDecision::AsAlone => Err(NotLocalized {
                 reason: NotLocalizedReason::FocalLength { best, joint: alone },
             }),
         },

@@ -5,7 +5,7 @@ use lsfb_perception::lidar::{Observability, Registration};
 
 use super::keyframes::{self, Keyframe, Scans};
 use super::ways::Way;
-use super::{Loop, LoopRejection, LoopScores, LoopVerdict, MeasuredLoop};
+use super::{Loop, LoopDecision, LoopRejection, LoopScores, MeasuredLoop};
 use crate::odometry::OdometryConfig;
 use crate::place_search::{self, Query, Region};
 
@@ -66,7 +66,7 @@ impl Assessor<'_> {
         let mut found = Loop {
             earlier: earlier.time,
             later: later.time,
-            verdict: LoopVerdict::Accepted,
+            decision: LoopDecision::Accepted,
             scores: LoopScores {
                 appearance: Some(appearance),
                 ..LoopScores::default()
@@ -75,12 +75,12 @@ impl Assessor<'_> {
         };
         let open = Open::of(earlier, way);
         let before = open.objection();
-        let verdict = match before {
+        let objection = match before {
             Some(rejection) => Some(rejection),
             None => self.register(earlier, later, &open, &mut found),
         };
-        if let Some(rejection) = verdict {
-            found.verdict = LoopVerdict::Rejected(rejection);
+        if let Some(rejection) = objection {
+            found.decision = LoopDecision::Rejected(rejection);
         }
         Assessment {
             found,

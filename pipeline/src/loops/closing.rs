@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::assessment::CHI_SQUARED;
 use super::graph::{self, Closed, squared_sigmas};
 use super::keyframes::{self, Keyframe, added};
-use super::{LoopVerdict, Loops, Measured};
+use super::{LoopDecision, Loops, Measured};
 use crate::Error;
 use crate::bending::bent;
 use crate::odometry::{OdometryResult, OdometryWarning};
@@ -106,10 +106,10 @@ pub(super) fn reject_disagreeing(
         return Ok(());
     }
     let fits = graph::fitting(keyframes, &measured, progress)?;
-    let is_accepted = |l: &&mut super::Loop| l.verdict == LoopVerdict::Accepted;
+    let is_accepted = |l: &&mut super::Loop| l.decision == LoopDecision::Accepted;
     for (l, fits) in loops.all.iter_mut().filter(is_accepted).zip(fits) {
         if !fits {
-            l.verdict = LoopVerdict::Rejected(super::LoopRejection::ContradictsLoops);
+            l.decision = LoopDecision::Rejected(super::LoopRejection::ContradictsLoops);
         }
     }
     Ok(())

@@ -6,7 +6,7 @@ use std::path::Path;
 use lsfb_geometry::{Quaternion, Se3, UnitQuaternion, Vector3};
 use lsfb_types::Timestamp;
 
-use super::{Loop, LoopRejection, LoopScores, LoopVerdict, Loops, MeasuredLoop};
+use super::{Loop, LoopDecision, LoopRejection, LoopScores, Loops, MeasuredLoop};
 use crate::Error;
 use crate::odometry::OdometryResult;
 
@@ -25,12 +25,12 @@ impl Loops {
     pub fn to_text(&self) -> String {
         let mut text = HEAD.to_owned();
         for l in &self.all {
-            let (verdict, reason) = match l.verdict {
-                LoopVerdict::Accepted => ("accept", "-"),
-                LoopVerdict::Rejected(why) => ("reject", why.name()),
+            let (decision, reason) = match l.decision {
+                LoopDecision::Accepted => ("accept", "-"),
+                LoopDecision::Rejected(why) => ("reject", why.name()),
             };
             // Writing into a string cannot fail.
-            let _ = write!(text, "{verdict} {} {}", l.earlier, l.later);
+            let _ = write!(text, "{decision} {} {}", l.earlier, l.later);
             let s = &l.scores;
             for score in [
                 s.appearance,
@@ -95,7 +95,7 @@ fn parse(line: &str, walk: &OdometryResult) -> Result<Loop, String> {
     let words: [&str; COLUMNS] = words
         .try_into()
         .map_err(|_| format!("{count} columns, but expected {COLUMNS}"))?;
-    let [verdict, earlier, later, .., reason] = words;
+    let [decision, earlier, later, .., reason] = words;
     let number = |k: usize| -> Result<Option<f64>, String> {
         match words[k] {
             "-" => Ok(None),
@@ -110,23 +110,23 @@ fn parse(line: &str, walk: &OdometryResult) -> Result<Loop, String> {
         return Err("the earlier scan is not before the later one".to_owned());
     }
     let measured = measured(&[8, 9, 10, 11, 12, 13, 14, 15, 16].map(number))?;
-    let verdict = match verdict {
+    let decision = match decision {
         "accept" if measured.is_none() => {
             return Err(
                 "this loop was not measured, and cannot be accepted: give its pose and standard deviations".to_owned(),
             );
         }
-        "accept" => LoopVerdict::Accepted,
+        "accept" => LoopDecision::Accepted,
         "reject" => {
             let known = LoopRejection::ALL.into_iter().find(|r| r.name() == reason);
-            LoopVerdict::Rejected(known.unwrap_or(LoopRejection::ByHand))
+            LoopDecision::Rejected(known.unwrap_or(LoopRejection::ByHand))
         }
         other => return Err(format!("{other:?} is neither `accept` nor `reject`")),
     };
     Ok(Loop {
         earlier,
         later,
-        verdict,
+        decision,
         scores: LoopScores {
             appearance: number(3)?,
             overlap: number(4)?,

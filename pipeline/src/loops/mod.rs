@@ -35,7 +35,7 @@ pub struct Loop {
     /// The end of the scan of the later visit.
     pub later: Timestamp,
     /// Whether it is closed.
-    pub verdict: LoopVerdict,
+    pub decision: LoopDecision,
     /// By what it was judged.
     pub scores: LoopScores,
     /// How the two lie to each other, where that was measured.
@@ -44,7 +44,7 @@ pub struct Loop {
 
 /// Whether a loop is closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LoopVerdict {
+pub enum LoopDecision {
     /// It is.
     Accepted,
     /// It is not.
@@ -155,7 +155,7 @@ pub struct Loops {
 impl Loops {
     /// Those that are closed.
     pub fn accepted(&self) -> impl Iterator<Item = &Loop> {
-        let is_accepted = |l: &&Loop| l.verdict == LoopVerdict::Accepted;
+        let is_accepted = |l: &&Loop| l.decision == LoopDecision::Accepted;
         self.all.iter().filter(is_accepted)
     }
 }

@@ -9,7 +9,7 @@ use super::closing::reject_disagreeing;
 use super::descriptor::Descriptor;
 use super::keyframes::{self, Keyframe, Scans};
 use super::ways::Ways;
-use super::{Loop, LoopRejection, LoopVerdict, Loops, Measured};
+use super::{Loop, LoopDecision, LoopRejection, Loops, Measured};
 use crate::Error;
 use crate::odometry::{OdometryConfig, OdometryResult};
 
@@ -125,7 +125,7 @@ impl Search<'_> {
                 continue;
             }
             registered += 1;
-            let is_accepted = assessment.found.verdict == LoopVerdict::Accepted;
+            let is_accepted = assessment.found.decision == LoopDecision::Accepted;
             found.take(candidate.earlier, later, assessment.found, self.keyframes);
             if is_accepted || registered == REGISTERED {
                 break;
@@ -186,7 +186,7 @@ impl Found {
     fn take(&mut self, earlier: usize, later: usize, found: Loop, keyframes: &[Keyframe]) {
         let number = self.loops.all.len();
         let measured = found.measured;
-        let is_accepted = found.verdict == LoopVerdict::Accepted;
+        let is_accepted = found.decision == LoopDecision::Accepted;
         self.loops.all.push(found);
         let Some(loop_) = measured.filter(|_| is_accepted) else {
             return;
@@ -219,7 +219,8 @@ impl Found {
     fn finish(mut self) -> Loops {
         for (_, number, confirmed) in &self.measured {
             if *confirmed == Confirmed::NotYet {
-                self.loops.all[*number].verdict = LoopVerdict::Rejected(LoopRejection::Unconfirmed);
+                self.loops.all[*number].decision =
+                    LoopDecision::Rejected(LoopRejection::Unconfirmed);
             }
         }
         self.loops

@@ -176,13 +176,13 @@ impl Said {
     }
 
     /// Codes of what is not as it should be; of what forbids to use the trajectory with the verdict.
-    pub fn doubts(&self) -> Vec<String> {
-        let doubt = |finding: Finding| match finding.verdict {
+    pub fn problem_codes(&self) -> Vec<String> {
+        let code = |finding: Finding| match finding.verdict {
             Verdict::Warn => Some(finding.code.into_owned()),
             Verdict::Fail => Some(format!("{} {}", finding.code, finding.verdict)),
             Verdict::Unknown | Verdict::Pass => None,
         };
-        self.findings().into_iter().filter_map(doubt).collect()
+        self.findings().into_iter().filter_map(code).collect()
     }
 
     /// Whether nothing is left out of any walk.

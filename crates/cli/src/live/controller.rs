@@ -429,7 +429,7 @@ fn viewers(rig: &Rig) -> Vec<Viewer> {
 mod tests {
     use std::sync::mpsc::sync_channel;
 
-    use lsfb_pipeline::loops::{Loop, LoopScores, LoopVerdict};
+    use lsfb_pipeline::loops::{Loop, LoopDecision, LoopScores};
 
     use super::super::odometry::tests::live;
     use super::*;
@@ -468,7 +468,7 @@ mod tests {
                 found: Loop {
                     earlier: step.time,
                     later: step.time,
-                    verdict: LoopVerdict::Accepted,
+                    decision: LoopDecision::Accepted,
                     scores: LoopScores::default(),
                     measured: None,
                 },

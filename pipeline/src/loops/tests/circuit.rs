@@ -24,7 +24,7 @@ fn what_the_odometry_drifts_on_the_way_around_is_taken_out() {
     assert!(before_m > 0.2, "{before_m} m");
     let loops = found(&result);
     let errors = errors_m(&loops, &result, &stops);
-    assert!(errors.len() >= 2, "{}", verdicts(&loops));
+    assert!(errors.len() >= 2, "{}", decisions(&loops));
     assert!(errors.iter().all(|e| *e < 0.03), "{errors:?}");
     let sigma_before = result.scan_poses.last().expect("a pose").covariance[(5, 5)];
     let closing = close_loops(&mut result, &loops, &lsfb_types::no_progress).expect("closed");
@@ -54,7 +54,7 @@ fn without_drift_nothing_moves() {
     let clouds = seen(&office(), &stops);
     let mut result = walk(&clouds, &stops, |_| Vector6::zeros(), &sigma());
     let loops = found(&result);
-    assert!(loops.accepted().count() >= 2, "{}", verdicts(&loops));
+    assert!(loops.accepted().count() >= 2, "{}", decisions(&loops));
     let before = result.clone();
     let closing = close_loops(&mut result, &loops, &lsfb_types::no_progress).expect("closed");
     assert_eq!(closing.moved_m, 0.0);
@@ -78,8 +78,8 @@ fn one_false_loop_among_true_ones_is_rejected() {
     let accepted = loops.accepted().count();
     let keyframes = keyframes::with(&result, &[time(20), time(120)].into());
     closing::reject_disagreeing(&mut loops, &keyframes, &lsfb_types::no_progress).expect("judged");
-    let rejected = LoopVerdict::Rejected(LoopRejection::ContradictsLoops);
-    assert_eq!(loops.all.last().map(|l| l.verdict), Some(rejected));
+    let rejected = LoopDecision::Rejected(LoopRejection::ContradictsLoops);
+    assert_eq!(loops.all.last().map(|l| l.decision), Some(rejected));
     assert_eq!(loops.accepted().count(), accepted - 1);
 }
 

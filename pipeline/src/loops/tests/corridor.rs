@@ -32,7 +32,7 @@ fn no_door_is_taken_for_another_on_the_way_out() {
             loops.accepted().count(),
             0,
             "{slip_m} m: {}",
-            verdicts(&loops)
+            decisions(&loops)
         );
     }
 }

@@ -25,11 +25,11 @@ fn no_floor_is_taken_for_another() {
         let loops = found(&result);
         let is_across = |l: &&Loop| on_floor(l.earlier) != on_floor(l.later);
         let across = loops.accepted().filter(is_across).count();
-        assert_eq!(across, 0, "{sinks_m} m: {}", verdicts(&loops));
+        assert_eq!(across, 0, "{sinks_m} m: {}", decisions(&loops));
         let errors = errors_m(&loops, &result, &stops);
         assert!(errors.iter().all(|e| *e < 0.05), "{sinks_m} m: {errors:?}");
         if sigma_m < 0.005 {
-            assert!(errors.len() >= 2, "on one floor: {}", verdicts(&loops));
+            assert!(errors.len() >= 2, "on one floor: {}", decisions(&loops));
         }
     }
 }

@@ -26,17 +26,17 @@ fn loops(walk: &OdometryResult) -> Loops {
         rotation_sigma_rad: 0.001,
         translation_sigma_m: 0.01,
     };
-    let of = |k: usize, verdict: LoopVerdict, measured: Option<MeasuredLoop>| Loop {
+    let of = |k: usize, decision: LoopDecision, measured: Option<MeasuredLoop>| Loop {
         earlier: time(0),
         later: time(k),
-        verdict,
+        decision,
         scores,
         measured,
     };
-    let rejected = |why| LoopVerdict::Rejected(why);
+    let rejected = |why| LoopDecision::Rejected(why);
     Loops {
         all: vec![
-            of(3, LoopVerdict::Accepted, Some(measured)),
+            of(3, LoopDecision::Accepted, Some(measured)),
             of(4, rejected(LoopRejection::Ambiguous), Some(measured)),
             of(5, rejected(LoopRejection::ContradictsOdometry), None),
         ],
@@ -66,10 +66,10 @@ fn a_person_accepts_and_rejects() {
         .replacen("\nreject ", "\naccept ", 1);
     let edited = read(&swapped.replace("\nXX ", "\nreject "), &walk).expect("a list");
     assert_eq!(
-        edited.all[0].verdict,
-        LoopVerdict::Rejected(LoopRejection::ByHand)
+        edited.all[0].decision,
+        LoopDecision::Rejected(LoopRejection::ByHand)
     );
-    assert_eq!(edited.all[1].verdict, LoopVerdict::Accepted);
+    assert_eq!(edited.all[1].decision, LoopDecision::Accepted);
     assert_eq!(edited.accepted().count(), 1);
 }
 

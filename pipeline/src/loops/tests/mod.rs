@@ -141,10 +141,10 @@ fn worst_m(result: &OdometryResult, stops: &[Stop]) -> f64 {
 }
 
 /// How many loops came to each end.
-fn verdicts(loops: &Loops) -> String {
+fn decisions(loops: &Loops) -> String {
     let mut counts = std::collections::BTreeMap::new();
     for l in &loops.all {
-        *counts.entry(format!("{:?}", l.verdict)).or_insert(0) += 1;
+        *counts.entry(format!("{:?}", l.decision)).or_insert(0) += 1;
     }
     format!("{counts:?}")
 }

@@ -63,7 +63,7 @@ fn loops_are_told_as_they_are_walked() {
         assert!(of_step.is_empty() || k > stops.len() / 2, "{k}");
         told.extend(of_step);
     }
-    assert!(told.len() >= 2, "{}: {}", told.len(), verdicts(&expected));
+    assert!(told.len() >= 2, "{}: {}", told.len(), decisions(&expected));
     let accepted: Vec<&Loop> = expected.accepted().collect();
     assert_eq!(told.iter().map(|l| &l.found).collect::<Vec<_>>(), accepted);
     for l in &told {

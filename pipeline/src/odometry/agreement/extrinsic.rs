@@ -58,21 +58,19 @@ fn start_rotation(turns: &[Turn]) -> UnitQuaternion<f64> {
         .iter()
         .map(|s| s.by_gyro * s.by_scans.transpose())
         .sum();
-    let svd = sum.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return UnitQuaternion::identity();
+    let identity = UnitQuaternion::identity();
+    let Some(best) = so3::nearest(&sum) else {
+        return identity;
     };
-    let sign = (u * v_t).determinant().signum();
-    let best = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let left = |rotation: &Matrix3<f64>| -> f64 {
+    let left = |rotation: &UnitQuaternion<f64>| -> f64 {
         let each = turns.iter();
         each.map(|s| (s.by_gyro - rotation * s.by_scans).norm_squared())
             .sum()
     };
-    if left(&best) < FAR_BETTER * left(&Matrix3::identity()) {
-        UnitQuaternion::from_matrix(&best)
+    if left(&best) < FAR_BETTER * left(&identity) {
+        best
     } else {
-        UnitQuaternion::identity()
+        identity
     }
 }
 

@@ -179,7 +179,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
         Ok(found) => {
             let report = &found.said.report;
             (run.frames, run.exported) = (report.frames, report.poses);
-            run.warnings = found.said.doubts();
+            run.warnings = found.said.problem_codes();
             run.exported_wrong = match walk_from_map {
                 Some(walk_from_map) if !run.walk.ends_with(OTHER_FLOOR) => {
                     wrong_poses(walk, place, &estimate, &walk_from_map)?

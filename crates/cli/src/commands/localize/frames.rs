@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use lsfb_geometry::{Quaternion, Se3, UnitQuaternion, Vector3};
 use lsfb_pipeline::localization::{
-    Evidence, JointFocalLength, JointVerdict, Localization, NotLocalized, NotLocalizedReason,
+    Evidence, FocalLengthDecision, JointFocalLength, Localization, NotLocalized, NotLocalizedReason,
 };
 use serde::{Deserialize, Serialize};
 
@@ -126,15 +126,15 @@ pub fn judge_together(frames: &mut [&mut Frame], min_probability: f64) {
             continue;
         };
         match joint.judge(&pose.evidence, frame.localized) {
-            JointVerdict::Refused => {
+            FocalLengthDecision::Refused => {
                 frame.localized = false;
                 frame.reason = Some(joint.to_string());
             }
-            JointVerdict::Borne if pose.probability >= min_probability => {
+            FocalLengthDecision::Borne if pose.probability >= min_probability => {
                 frame.localized = true;
                 frame.reason = None;
             }
-            JointVerdict::Borne | JointVerdict::AsAlone => {}
+            FocalLengthDecision::Borne | FocalLengthDecision::AsAlone => {}
         }
     }
 }

@@ -192,12 +192,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     stages.remove()?;
     let summary = summary(found.frames, &input, &localizer);
     if let Some(path) = &arguments.out_report {
-        let seen = page::Seen {
+        let page_input = page::PageInput {
             input: &input,
             times: &found.times,
             inliers: &found.inliers,
         };
-        let page = page::page(&summary, &seen, &localizer, &mut detector, context)?;
+        let page = page::page(&summary, &page_input, &localizer, &mut detector, context)?;
         crate::files::write(path, page)?;
     }
     context.print(&summary, || text(&summary))?;

@@ -15,7 +15,7 @@ use crate::context::Context;
 const SHOWN: usize = 24;
 
 /// What the frames show.
-pub struct Seen<'a> {
+pub struct PageInput<'a> {
     pub input: &'a Input,
     /// Of the instants of a walk.
     pub times: &'a [lsfb_types::Timestamp],
@@ -26,7 +26,7 @@ pub struct Seen<'a> {
 /// The page as text.
 pub fn page(
     summary: &Summary,
-    seen: &Seen,
+    page_input: &PageInput,
     localizer: &Localizer,
     detector: &mut FeatureDetector,
     context: &Context,
@@ -38,7 +38,7 @@ pub fn page(
     let step = lost.len().div_ceil(SHOWN).max(1);
     let chosen: Vec<usize> = lost.iter().copied().step_by(step).collect();
     let mut pictures = Vec::with_capacity(chosen.len());
-    let shown = seen.input.shown(&chosen, seen.times)?;
+    let shown = page_input.input.shown(&chosen, page_input.times)?;
     for (done, (k, shown)) in chosen.iter().zip(shown).enumerate() {
         context.show(lsfb_types::Progress {
             stage: "pictures",
@@ -46,7 +46,7 @@ pub fn page(
             total: chosen.len() as u64,
         })?;
         // What cannot be read, for its size say, has its reason beside it all the same.
-        let answer = (&frames[*k], &seen.inliers[*k]);
+        let answer = (&frames[*k], &page_input.inliers[*k]);
         let drawn = shown.and_then(|shown| draw(localizer, detector, &shown, answer));
         pictures.push(drawn.ok());
     }

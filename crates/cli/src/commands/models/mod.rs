@@ -8,9 +8,11 @@ use std::path::{Path, PathBuf};
 
 use lsfb_networks::{Agreement, Model, Network, Trust, agreement};
 use lsfb_recording::sha256_of;
+use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::judged::lines;
 use crate::outcome::Outcome;
 use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
@@ -388,18 +390,13 @@ impl Checked {
         }
     }
 
-    fn failed(&self) -> bool {
-        self.problem.is_some() || self.agrees == Some(false)
-    }
-
-    fn sentence(&self) -> String {
-        let file = self.file.display();
+    fn finding(&self) -> Finding {
+        let subject = self.file.display().to_string();
         if let Some(problem) = &self.problem {
             // Errors of files name them.
-            return match problem.contains(&file.to_string()) {
-                true => format!("FAIL {problem}"),
-                false => format!("FAIL {file}: {problem}"),
-            };
+            let what = problem.strip_prefix(&format!("{subject}: "));
+            let what = what.unwrap_or(problem);
+            return Finding::new("weights", Verdict::Fail, subject, what);
         }
         let largest = self
             .sizes
@@ -407,14 +404,22 @@ impl Checked {
             .map(|s| s.score_difference.max(s.descriptor_difference))
             .fold(0.0, f32::max);
         match self.agrees {
-            Some(true) => format!(
-                "PASS {file}: agrees with another program's output of the published weights to {largest:.0e}, at {} image sizes",
-                self.sizes.len()
-            ),
-            Some(false) => format!(
-                "FAIL {file}: differs by {largest:.0e} from another program's output: do not use it, and report this"
-            ),
-            None => format!("{file}: not the published weights, or no reference output"),
+            Some(true) => {
+                let sizes = self.sizes.len();
+                let what = format!(
+                    "agrees with another program's output of the published weights to {largest:.0e}, at {sizes} image sizes"
+                );
+                Finding::new("weights", Verdict::Pass, subject, what)
+            }
+            Some(false) => {
+                let what = format!("differs by {largest:.0e} from another program's output");
+                Finding::new("weights", Verdict::Fail, subject, what)
+                    .remedy("do not use it, and report this")
+            }
+            None => {
+                let what = "not the published weights, or no reference output";
+                Finding::new("weights", Verdict::Unknown, subject, what)
+            }
         }
     }
 }
@@ -422,15 +427,10 @@ impl Checked {
 fn check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
     let folder = arguments.folder.path()?;
     let checked: Vec<Checked> = files(&folder)?.into_iter().map(Checked::new).collect();
-    context.print(&checked, || {
-        let lines: Vec<String> = checked.iter().map(Checked::sentence).collect();
-        match lines.is_empty() {
-            true => format!("{}: no weights were added", folder.display()),
-            false => lines.join("\n"),
-        }
+    let judgement = Judgement::new(checked.iter().map(Checked::finding).collect());
+    context.print(&checked, || match checked.is_empty() {
+        true => format!("{}: no weights were added", folder.display()),
+        false => lines(&judgement),
     })?;
-    Ok(match checked.iter().any(Checked::failed) {
-        true => Outcome::JudgementFailed,
-        false => Outcome::Done,
-    })
+    Ok(Outcome::of(judgement.verdict()))
 }

@@ -102,7 +102,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let mut runs = Runs::default();
     for (number, case) in cases.iter().enumerate() {
-        let bench = Bench {
+        let ablation = Ablation {
             case,
             number: number + 1,
             name: match cases.len() {
@@ -112,10 +112,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             out: &arguments.out,
             context,
         };
-        bench.in_maps(&arguments.map_percent, &mut runs)?;
+        ablation.in_maps(&arguments.map_percent, &mut runs)?;
         let is_known = cases[..number].iter().any(|other| other.is_walk_of(case));
         if arguments.map_percent.contains(&0) && !is_known {
-            bench.without_maps(&config, arguments.loops_off, &mut runs)?;
+            ablation.without_maps(&config, arguments.loops_off, &mut runs)?;
         }
     }
     let table = Table {
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 }
 
 /// What all runs of a walk share.
-struct Bench<'a> {
+struct Ablation<'a> {
     case: &'a Case,
     /// Of the walk.
     number: usize,
@@ -145,7 +145,7 @@ struct Found {
     frames: u64,
 }
 
-impl Bench<'_> {
+impl Ablation<'_> {
     /// In the map and in parts of it.
     fn in_maps(&self, percents: &[u32], runs: &mut Runs) -> anyhow::Result<()> {
         let percents: Vec<u32> = percents.iter().copied().filter(|p| *p > 0).collect();

@@ -122,7 +122,7 @@ fn errors(runs: &[Run]) -> Markup {
                         td { (format!("{:.1}", run.dropped_s)) }
                         td { (number(run.map_in_view_s, 1.0, 1)) }
                         td { (number(run.answered_in_view_s, 1.0, 1)) }
-                        td.words { (run.doubts.join(", ")) }
+                        td.words { (run.problem_codes.join(", ")) }
                         td.words { (run.refused.as_deref().unwrap_or_default()) }
                     }
                 }

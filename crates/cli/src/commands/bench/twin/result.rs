@@ -62,7 +62,8 @@ pub struct Run {
     /// Why there is no trajectory.
     pub refused: Option<String>,
     /// What `lsfb groundtruth` says is not as it should be.
-    pub doubts: Vec<String>,
+    #[serde(rename = "doubts")]
+    pub problem_codes: Vec<String>,
     /// Whether it says that the trajectory must not be used.
     pub failed: bool,
     /// Horizontal distance of the walk from the scanner's path: median, and what a tenth and nine tenths of it are nearer than.
@@ -115,7 +116,7 @@ impl Run {
             exported_wrong: 0,
             dropped_s: 0.0,
             refused: None,
-            doubts: Vec::new(),
+            problem_codes: Vec::new(),
             failed: false,
             off_path_m: None,
             off_path_p10_m: None,
@@ -181,7 +182,7 @@ impl Run {
                 .limit(Limit::AtMost(0.0)),
         );
         if self.failed {
-            let what = format!("do not use: {}", self.doubts.join(", "));
+            let what = format!("do not use: {}", self.problem_codes.join(", "));
             findings.push(Finding::new("judgement", Verdict::Warn, self.name(), what));
         }
         findings
@@ -231,8 +232,8 @@ pub fn table(runs: &[Run]) -> String {
         if let Some(why) = &run.refused {
             let _ = write!(text, "\n  refused: {why}");
         }
-        if !run.doubts.is_empty() {
-            let _ = write!(text, "\n  {}", run.doubts.join(", "));
+        if !run.problem_codes.is_empty() {
+            let _ = write!(text, "\n  {}", run.problem_codes.join(", "));
         }
     }
     text

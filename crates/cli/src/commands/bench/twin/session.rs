@@ -221,7 +221,8 @@ impl Session<'_> {
                 let answered = judging::answered(solved, &alone.in_view);
                 run.answered_in_view_s = in_view_s.map(|secs| secs * answered);
                 let report = &found.said.report;
-                (run.doubts, run.failed) = (found.said.doubts(), found.said.is_failed());
+                (run.problem_codes, run.failed) =
+                    (found.said.problem_codes(), found.said.is_failed());
                 let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;
                 run.ate_rms_m = Some(judged.own.ate_translation_m.rmse);
                 run.ate_max_m = Some(judged.own.ate_translation_m.max);
