@@ -4,6 +4,7 @@ mod drawing;
 mod folder;
 mod frames;
 mod input;
+mod judging;
 mod matches;
 mod page;
 mod unfinished;
@@ -12,12 +13,13 @@ use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::kept_stages::KeptStages;
 use lsfb_pipeline::localization::Localizer;
-use lsfb_types::median;
+use lsfb_types::{Verdict, median};
 use serde::Serialize;
 
 use super::map_settings;
 use super::models::ModelFolder;
 use crate::context::Context;
+use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 use frames::Frame;
 use input::{Input, Kept};
@@ -191,28 +193,24 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     stages.remove()?;
     let summary = summary(found.frames, &input, &localizer);
+    let judgement = judging::judgement(&summary, found.damaged);
     if let Some(path) = &arguments.out_report {
         let page_input = page::PageInput {
             input: &input,
             times: &found.times,
             inliers: &found.inliers,
         };
-        let page = page::page(&summary, &page_input, &localizer, &mut detector, context)?;
+        let judged = (&summary, &judgement);
+        let page = page::page(judged, &page_input, &localizer, &mut detector, context)?;
         crate::files::write(path, page)?;
     }
-    context.print(&summary, || text(&summary))?;
-    if found.damaged > 0 {
-        context.say(&format!(
-            "{} damaged images or messages were left out",
-            found.damaged
-        ));
-    }
-    // Nothing found is no success, whatever the reason.
-    let is_sound = summary.map_failures.is_empty() && summary.localized > 0;
-    Ok(match (is_sound, found.damaged) {
-        (false, _) => Outcome::JudgementFailed,
-        (true, 0) => Outcome::Done,
-        (true, _) => Outcome::DataLost,
+    context.print(&Judged::new(&judgement, "localization", &summary), || {
+        format!("{}\n{}", text(&summary), problem_lines(&judgement))
+    })?;
+    Ok(match (judgement.verdict(), found.damaged) {
+        (Verdict::Fail, _) => Outcome::JudgementFailed,
+        (_, 0) => Outcome::Done,
+        _ => Outcome::DataLost,
     })
 }
 
@@ -286,17 +284,5 @@ fn text(s: &Summary) -> String {
         "{} of {} localized ({share:.1} %), each right with a probability of {}; {} have more than 30 inliers",
         s.localized, s.images, s.min_probability, s.more_than_30_inliers
     );
-    if s.by_little > 0 {
-        text += &format!(
-            "\n{} of these have so little evidence that a similar place outside the map could explain it: make sure that the map contains the place",
-            s.by_little
-        );
-    }
-    if !s.map_failures.is_empty() {
-        text += "\nThe map failed its checks when it was made, so that poses in it may be far from the truth:";
-    }
-    for failure in &s.map_failures {
-        text += &format!("\n  {failure}");
-    }
     text
 }

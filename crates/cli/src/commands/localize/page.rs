@@ -3,6 +3,7 @@
 use lsfb_pipeline::features::FeatureDetector;
 use lsfb_pipeline::localization::Localizer;
 use lsfb_report::{Page, scroll};
+use lsfb_types::Judgement;
 use maud::{Markup, PreEscaped, html};
 
 use super::Summary;
@@ -25,7 +26,7 @@ pub struct PageInput<'a> {
 
 /// The page as text.
 pub fn page(
-    summary: &Summary,
+    (summary, judgement): (&Summary, &Judgement),
     page_input: &PageInput,
     localizer: &Localizer,
     detector: &mut FeatureDetector,
@@ -80,7 +81,8 @@ pub fn page(
             }
         }
     };
-    Ok(Page::new("Localization").body(body).to_html())
+    let page = Page::new("Localization").judged(judgement, "");
+    Ok(page.body(body).to_html())
 }
 
 /// Lost frames by their reasons, without the numbers in these, the most frequent first.
