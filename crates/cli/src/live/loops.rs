@@ -28,6 +28,8 @@ pub struct LoopsThread {
     /// Whether the walk began again with a step that was passed over since.
     begins_again: bool,
     unsearched: Arc<AtomicU64>,
+    /// Scans taken that the thread is not done with.
+    waiting: Arc<AtomicU64>,
     end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -39,14 +41,16 @@ impl LoopsThread {
             return Ok(None);
         };
         let mut loops = OnlineLoops::new(&OdometryConfig::default(), lidar)?;
-        let (work, waiting) = sync_channel::<Work>(QUEUE_STEPS);
+        let (work, queue) = sync_channel::<Work>(QUEUE_STEPS);
         let (done, found) = sync_channel(QUEUE_LOOPS);
         let end = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&end);
         let unsearched = Arc::new(AtomicU64::new(0));
         let failed = Arc::clone(&unsearched);
+        let waiting = Arc::new(AtomicU64::new(0));
+        let waits = Arc::clone(&waiting);
         let run = move || {
-            for work in waiting {
+            for work in queue {
                 if ends.load(Ordering::Relaxed) {
                     return;
                 }
@@ -54,7 +58,9 @@ impl LoopsThread {
                     loops.begin_again();
                 }
                 // A graph that cannot be solved tells of no loop; the next scan has another.
-                let Ok(found) = loops.push(&work.step) else {
+                let found = loops.push(&work.step);
+                waits.fetch_sub(1, Ordering::Relaxed);
+                let Ok(found) = found else {
                     failed.fetch_add(1, Ordering::Relaxed);
                     continue;
                 };
@@ -74,6 +80,7 @@ impl LoopsThread {
             found,
             begins_again: false,
             unsearched,
+            waiting,
             end,
             thread: Some(thread),
         }))
@@ -83,8 +90,12 @@ impl LoopsThread {
     pub fn push(&mut self, step: OdometryStep) {
         let begins_again = self.begins_again;
         let is_first = step.begins_again();
+        // Counted before the thread may be done with it.
+        self.waiting.fetch_add(1, Ordering::Relaxed);
         let sent = self.work.try_send(Work { step, begins_again });
         let is_passed_over = sent.is_err();
+        self.waiting
+            .fetch_sub(u64::from(is_passed_over), Ordering::Relaxed);
         self.begins_again = is_passed_over && (begins_again || is_first);
         self.unsearched
             .fetch_add(u64::from(is_passed_over), Ordering::Relaxed);
@@ -93,6 +104,11 @@ impl LoopsThread {
     /// Scans that were passed over, or of which the search failed: loops there are not known of.
     pub fn unsearched(&self) -> u64 {
         self.unsearched.load(Ordering::Relaxed)
+    }
+
+    /// Scans that wait, or are looked at: at the end of a walk loops there are not known of either.
+    pub fn waiting(&self) -> u64 {
+        self.waiting.load(Ordering::Relaxed)
     }
 
     /// The next loop, if there is one.
@@ -135,6 +151,7 @@ mod tests {
             found,
             begins_again: false,
             unsearched: Arc::default(),
+            waiting: Arc::default(),
             end: Arc::default(),
             thread: None,
         };
@@ -150,5 +167,7 @@ mod tests {
         assert!(waiting.recv().expect("the third").begins_again);
         drop(waiting);
         assert_eq!(push(400, StepOutcome::Registered), 2);
+        // Nobody was done with the first and the third, nor said that these were not looked at.
+        assert_eq!(loops.waiting(), 2);
     }
 }

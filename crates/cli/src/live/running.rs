@@ -125,7 +125,10 @@ impl Running {
         let skipped = self.odometry.as_ref()?.skipped();
         Some(LiveOdometryReport {
             loops: self.loops.as_ref().map(|_| self.following.loops),
-            unsearched_scans: self.loops.as_ref().map(LoopsThread::unsearched),
+            unsearched_scans: self
+                .loops
+                .as_ref()
+                .map(|loops| loops.unsearched() + loops.waiting()),
             skipped_scans: skipped.scans,
             skipped_imu_samples: skipped.imu_samples,
             missed_by_tap: self.tap.missed(),

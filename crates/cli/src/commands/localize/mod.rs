@@ -205,7 +205,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         crate::files::write(path, page)?;
     }
     context.print(&Judged::new(&judgement, "localization", &summary), || {
-        format!("{}\n{}", text(&summary), problem_lines(&judgement))
+        let text = format!("{}\n{}", text(&summary), problem_lines(&judgement));
+        text.trim_end().to_owned()
     })?;
     Ok(match (judgement.verdict(), found.damaged) {
         (Verdict::Fail, _) => Outcome::JudgementFailed,
