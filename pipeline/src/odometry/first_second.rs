@@ -222,12 +222,6 @@ impl FirstSecond {
     }
 }
 
-impl OdometryStep {
-    fn instead_of(self, anew: Vec<OdometryStep>) -> Self {
-        Self { anew, ..self }
-    }
-}
-
 impl Odometry {
     /// Whether the carrier has not moved since the start, by its IMU.
     pub(super) fn stands(&self) -> bool {

@@ -13,6 +13,7 @@ mod free_space;
 mod imu_check;
 mod imu_pauses;
 mod inertial;
+mod learned_start;
 mod motion;
 mod online;
 mod point_clock;
@@ -58,6 +59,7 @@ use crate::Error;
 use degeneracy::ScanInformation;
 use first_second::FirstSecond;
 use free_space::FreeSpace;
+use learned_start::LearnedStart;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
 use start_scan::StartScan;
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
@@ -89,7 +91,7 @@ pub struct OdometryStep {
     /// Whether the scan was registered, or the prediction had to do.
     pub outcome: StepOutcome,
     /// Where this scan told that the walk began otherwise than was thought: the steps of all scans before it anew, in place of those given
-    /// then. Empty but in the first second of a walk.
+    /// then. Empty but in the first seconds of a walk.
     pub anew: Vec<OdometryStep>,
 }
 
@@ -97,6 +99,10 @@ impl OdometryStep {
     /// Whether the steps given before are void: the walk begins with this scan, or with those that come anew.
     pub fn begins_again(&self) -> bool {
         self.outcome == StepOutcome::First || !self.anew.is_empty()
+    }
+
+    fn instead_of(self, anew: Vec<OdometryStep>) -> Self {
+        Self { anew, ..self }
     }
 
     /// The scans that found their place, those that come anew before the scan itself.
@@ -145,6 +151,8 @@ pub struct Odometry {
     start_scan: Option<StartScan>,
     /// The same, in its first second.
     first_second: Option<FirstSecond>,
+    /// The same, until its motion has told the gyroscope's bias.
+    learned_start: Option<LearnedStart>,
     /// Until then scans count little: the map is drawn by too few.
     unsteady_until: Option<Timestamp>,
     /// So many times more points of the scan at hand share an error.
@@ -195,6 +203,7 @@ impl Odometry {
                 samples: Vec::new(),
                 filter: None,
                 start: None,
+                gyro_bias: None,
             }),
             None => Motion::Constant {
                 twist_per_s: Vector6::zeros(),
@@ -218,6 +227,7 @@ impl Odometry {
             searched_in_vain: None,
             start_scan: None,
             first_second: None,
+            learned_start: None,
             unsteady_until: None,
             shared_by: 1.0,
             unfelt: false,
@@ -249,6 +259,9 @@ impl Odometry {
         if let Some(first) = &mut self.first_second {
             first.push_imu(sample);
         }
+        if let Some(learned) = &mut self.learned_start {
+            learned.push_imu(sample);
+        }
         if let Some(start) = &mut self.start_scan {
             start.push_imu(sample);
         }
@@ -256,6 +269,19 @@ impl Odometry {
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
+        let learned = match self.last {
+            None => LearnedStart::before(self),
+            Some(_) => self.learned_start.take(),
+        };
+        let step = self.take_as_it_comes(scan)?;
+        Ok(match learned {
+            Some(learned) => learned.go_on(self, scan, step),
+            None => step,
+        })
+    }
+
+    /// The same, with no look back at the start but in its first second.
+    fn take_as_it_comes(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
         if self.last.is_none() {
             return StartScan::begin(self, scan);
         }

@@ -5,6 +5,7 @@ use lsfb_perception::lidar::KNOT_NS;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::inertial::InertialFilter;
+use super::learned_start::KnownBias;
 use super::uncertainty::ConstantMotionCovariance;
 use crate::Error;
 
@@ -36,6 +37,8 @@ pub(super) struct InertialMotion {
     pub filter: Option<Box<InertialFilter>>,
     /// How fast the walk begins, where that is known by now.
     pub start: Option<StartVelocity>,
+    /// The gyroscope's bias, where that is known by now.
+    pub gyro_bias: Option<KnownBias>,
 }
 
 impl InertialMotion {
@@ -47,6 +50,9 @@ impl InertialMotion {
         let before_end = self.samples.partition_point(|s| s.time <= end);
         let mut filter = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
             .ok_or(Error::ImuMissing { time: end })?;
+        if let Some(known) = &self.gyro_bias {
+            filter.knows_bias(known);
+        }
         if let Some(known) = self.start {
             filter.moves(known.velocity_m_s, known.sigma_m_s, end.secs_since(start));
         }

@@ -122,6 +122,8 @@ impl Walk {
             std::array::from_fn(|_| f64::from(uniform(&rng, 0.0, std::f32::consts::TAU)));
         let travel = Travel::new(tour, config, 0.0);
         let gait = plan.gait;
+        let on_the_spot = matches!(plan.gaze, Gaze::Turning | Gaze::Facing | Gaze::Board);
+        let balance = (!on_the_spot).then(|| Balance::of(seed, &plan.gait));
         let curve = QuinticSpline::following(config.duration_s, KNOT_S, |t| {
             let (s, speed) = travel.at(t);
             let pace = (speed / 1.0).min(1.0);
@@ -145,7 +147,13 @@ impl Walk {
             for (value, turned) in pose.iter_mut().zip(look) {
                 *value += turned;
             }
-            if matches!(plan.gaze, Gaze::Turning | Gaze::Facing | Gaze::Board) {
+            if let Some(balance) = &balance {
+                let leans = balance.at(t, heading, config);
+                for (value, leant) in pose.iter_mut().zip(leans) {
+                    *value += leant;
+                }
+            }
+            if on_the_spot {
                 // On the spot the way one happens to shuffle does not turn the head.
                 pose[3] -= heading;
             }
@@ -172,6 +180,66 @@ impl Walk {
             last = next;
         }
         length
+    }
+}
+
+/// How one keeps one's balance: nobody stands like a tripod.
+///
+/// Who stands sways about the ankles like an inverted pendulum, forwards more than sideways and mostly below half a hertz: the centre of mass
+/// moves by 3 to 5 mm rms (Winter, "Human balance and posture control during standing and walking", 1995), the trunk turns at 0.2 to 0.4 °/s.
+#[derive(Clone, Debug)]
+struct Balance {
+    /// Pitch, roll and yaw: two waves each.
+    waves: [[Lean; 2]; 3],
+}
+
+/// One wave of it.
+#[derive(Clone, Copy, Debug)]
+struct Lean {
+    amplitude_rad: f64,
+    hz: f64,
+    phase: f64,
+}
+
+/// Slow and quick part of each axis' sway, radians at the crest; how much it is differs by a third from one to another.
+const SWAY_RAD: [[f64; 2]; 3] = [[5.0e-3, 1.7e-3], [3.3e-3, 1.2e-3], [2.0e-3, 0.8e-3]];
+/// Frequencies of the two, hertz, from and to.
+const SWAY_HZ: [[f32; 2]; 2] = [[0.15, 0.3], [0.4, 0.6]];
+/// A walk is at rest before and after it: sway grows in and dies away within this time, seconds.
+const SWAY_BEGINS_S: f64 = 1.0;
+
+impl Balance {
+    fn of(seed: u64, gait: &Gait) -> Self {
+        let rng = stream(seed, "balance", gait.step_m.to_bits());
+        let waves = SWAY_RAD.map(|axis| {
+            std::array::from_fn(|k| Lean {
+                amplitude_rad: axis[k] * f64::from(uniform(&rng, 0.67, 1.33)),
+                hz: f64::from(uniform(&rng, SWAY_HZ[k][0], SWAY_HZ[k][1])),
+                phase: f64::from(uniform(&rng, 0.0, std::f32::consts::TAU)),
+            })
+        });
+        Self { waves }
+    }
+
+    /// What it adds to x, y, z, yaw, pitch and roll.
+    fn at(&self, t: f64, heading: f64, config: &WalkConfig) -> [f64; 6] {
+        let begun = smooth_step(t / SWAY_BEGINS_S);
+        let begun = begun * smooth_step((config.duration_s - t) / SWAY_BEGINS_S);
+        let [pitch, roll, yaw] = self.waves.map(|axis| {
+            let waves = axis.map(|w| w.amplitude_rad * wave(t, w.hz, w.phase));
+            begun * waves.iter().sum::<f64>()
+        });
+        // Pitch is forwards and down; what is higher above the ankles moves farther.
+        let (forwards, left) = (config.height_m * pitch, -config.height_m * roll);
+        let (sin, cos) = heading.sin_cos();
+        [
+            forwards * cos - left * sin,
+            forwards * sin + left * cos,
+            0.0,
+            yaw,
+            pitch,
+            roll,
+        ]
     }
 }
 

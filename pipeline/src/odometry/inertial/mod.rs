@@ -17,6 +17,7 @@ use lsfb_perception::lidar::PosePrior;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
 
+use super::learned_start::KnownBias;
 use super::uncertainty::once_seen;
 use reading::{Reading, reading_at};
 use standing::{STANDING_SPAN_S, Standing};
@@ -206,6 +207,18 @@ impl InertialFilter {
     /// How far the pose may be off against the map: covariance of `[rotation, translation]`.
     pub fn reported_covariance(&self) -> Matrix6<f64> {
         self.reported.fixed_view::<6, 6>(0, 0).into()
+    }
+
+    /// The gyroscope's bias, and how well it is known to a walk that is begun again with it: twice the variance, as that takes the scans that told
+    /// it once more.
+    pub fn known_bias(&self) -> KnownBias {
+        KnownBias {
+            rad_s: self.state.gyro_bias_rad_s,
+            sigma_rad_s: Vector3::from_fn(|k, _| {
+                let at = GYRO_BIAS + k;
+                (2.0 * self.reported[(at, at)]).sqrt()
+            }),
+        }
     }
 
     /// Takes the estimate for less certain: its covariance by so many times, 1 or more.

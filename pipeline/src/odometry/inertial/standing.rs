@@ -2,7 +2,7 @@
 //! its own noise.
 
 use lsfb_geometry::{Matrix6, Vector3, Vector6};
-use lsfb_types::{ImuSample, Stamped};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SMatrix;
 
 use super::reading::Reading;
@@ -17,8 +17,12 @@ const STANDING_FORCE_M_S2: f64 = 0.2;
 const QUIET_RATE_RAD_S: f64 = 0.015;
 const QUIET_FORCE_M_S2: f64 = 0.08;
 /// Who stands sways by so much, m/s, and turns by so much, rad/s.
-pub(super) const STANDING_VELOCITY_M_S: f64 = 0.01;
-pub(super) const STANDING_GYRO_RAD_S: f64 = 0.003;
+pub(super) const STANDING_VELOCITY_M_S: f64 = 0.012;
+pub(super) const STANDING_GYRO_RAD_S: f64 = 0.006;
+/// How far it is from upright then, radians, and from where it stands, at the height of a back and upwards, metres (standard deviations). So a mean
+/// rate or velocity over `T` s is off by √2 of it in `T`. The centre of mass of people moves by 3 to 5 mm forwards and back, and less sideways.
+const SWAY_RAD: f64 = 0.003;
+const SWAY_M: [f64; 3] = [0.0045, 0.0045, 0.001];
 /// Of the velocity of a carrier that was taken for standing and was not, m/s.
 const UNFELT_VELOCITY_M_S: f64 = 0.3;
 
@@ -27,6 +31,8 @@ const UNFELT_VELOCITY_M_S: f64 = 0.3;
 pub(super) struct Standing {
     pub angular_velocity: Vector3<f64>,
     pub specific_force: Vector3<f64>,
+    /// When it was first looked at.
+    pub since: Timestamp,
 }
 
 impl Standing {
@@ -34,6 +40,16 @@ impl Standing {
     fn goes_on(&self, (angular_velocity, specific_force): (Vector3<f64>, Vector3<f64>)) -> bool {
         (angular_velocity - self.angular_velocity).norm() < STANDING_RATE_RAD_S
             && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
+    }
+
+    /// What the standard deviation of what means over some samples add to those over all before them is, by that of where the carrier sways to:
+    /// 1/s. The mean over `T` s is off by √2 of that in `T`, not by what many independent means would be; of its inverse square this is the
+    /// part of these samples.
+    fn sigma_per_sway(&self, samples: &[Stamped<ImuSample>]) -> Option<f64> {
+        let (first, last) = (samples.first()?, samples.last()?);
+        let stood_s = last.time.secs_since(self.since).max(STANDING_SPAN_S);
+        let span_s = last.time.secs_since(first.time).max(0.1 * STANDING_SPAN_S);
+        Some(1.0 / (stood_s * span_s).sqrt())
     }
 }
 
@@ -78,20 +94,28 @@ impl InertialFilter {
         let velocity_off = -self.state.velocity_m_s;
         off.fixed_rows_mut::<3>(0).copy_from(&velocity_off);
         off.fixed_rows_mut::<3>(3).copy_from(&bias_off);
-        if let Some((delta, covariance)) = measured(&self.covariance, &off) {
+        let Some(per_sway) = standing.sigma_per_sway(samples) else {
+            return;
+        };
+        if let Some((delta, covariance)) = measured(&self.covariance, &off, per_sway) {
             self.covariance = covariance;
             self.state.add(&delta);
         }
-        if let Some((_, covariance)) = measured(&self.reported, &off) {
+        if let Some((_, covariance)) = measured(&self.reported, &off, per_sway) {
             self.reported = covariance;
         }
     }
 }
 
 /// What measured velocity and gyroscope bias, `off` from those estimated, change of the state, and its covariance then.
-fn measured(covariance: &Matrix18, off: &Vector6<f64>) -> Option<(SMatrix<f64, 18, 1>, Matrix18)> {
-    let (v, w) = (STANDING_VELOCITY_M_S.powi(2), STANDING_GYRO_RAD_S.powi(2));
-    let noise = Matrix6::from_diagonal(&Vector6::new(v, v, v, w, w, w));
+fn measured(
+    covariance: &Matrix18,
+    off: &Vector6<f64>,
+    per_sway: f64,
+) -> Option<(SMatrix<f64, 18, 1>, Matrix18)> {
+    let [x, y, z] = SWAY_M;
+    let sway = Vector6::new(x, y, z, SWAY_RAD, SWAY_RAD, SWAY_RAD) * per_sway;
+    let noise = Matrix6::from_diagonal(&sway.component_mul(&sway));
     let all = covariance.fixed_columns::<6>(VELOCITY);
     let measured: Matrix6<f64> = covariance.fixed_view::<6, 6>(VELOCITY, VELOCITY).into();
     let gain = all * (measured + noise).cholesky()?.inverse();

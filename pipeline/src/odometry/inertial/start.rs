@@ -4,6 +4,7 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SVector;
 
+use super::super::learned_start::KnownBias;
 use super::standing::{STANDING_GYRO_RAD_S, STANDING_VELOCITY_M_S, Standing};
 use super::{
     ACCEL_BIAS, GRAVITY, GRAVITY_M_S2, GYRO_BIAS, InertialFilter, InertialState, Matrix18, VELOCITY,
@@ -83,10 +84,21 @@ impl InertialFilter {
             standing: stands.then_some(Standing {
                 angular_velocity: rate,
                 specific_force: force,
+                since: time,
             }),
             time,
             noise: noise.clone(),
         })
+    }
+
+    /// Gives a start the gyroscope's bias.
+    pub fn knows_bias(&mut self, known: &KnownBias) {
+        self.state.gyro_bias_rad_s = known.rad_s;
+        for covariance in [&mut self.covariance, &mut self.reported] {
+            for (k, sigma) in known.sigma_rad_s.iter().enumerate() {
+                covariance[(GYRO_BIAS + k, GYRO_BIAS + k)] = sigma * sigma;
+            }
+        }
     }
 
     /// Gives a start its velocity, in the world; the pose `secs` later stays what it would have been without.
