@@ -41,14 +41,6 @@ pub enum Error {
         /// What is wrong.
         problem: String,
     },
-    /// A device cannot be called so.
-    #[error("{name}: {problem}")]
-    DeviceName {
-        /// The name.
-        name: String,
-        /// What is wrong with it.
-        problem: &'static str,
-    },
     /// Two LiDARs would take each other's packets.
     #[error(
         "{first} and {second} listen on one port: set the address of each (`sensor`), or give each its own `data` and `position`, here and in the sensor"

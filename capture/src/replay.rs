@@ -12,7 +12,7 @@ use lsfb_geometry::{MAIN_LIDAR, Rig};
 use lsfb_recording::{Damage, RecordedPacket, Recording, lidar_position};
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 
-use crate::config::{Overflow, RecorderConfig, check_device_names};
+use crate::config::{DEVICE_NAMES, Overflow, RecorderConfig};
 use crate::health::{Ending, Meter, StreamReport};
 use crate::lidar::{LidarStream, Lidars};
 use crate::recorder::{self, Recorder, RecorderSender, WriterGone};
@@ -52,7 +52,7 @@ pub fn replay(
     out: &Path,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
-    check_device_names(config.sensors.iter().map(|sensor| &sensor.name))?;
+    DEVICE_NAMES.check(config.sensors.iter().map(|s| ("lidar.name", &*s.name)))?;
     check_angles(
         &config.lidar,
         config.sensors.iter().map(|s| s.name.as_str()),

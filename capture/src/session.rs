@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use lsfb_drivers::mynt_s::MyntCamera;
 use lsfb_drivers::transport::udp::{UdpConfig, UdpSource};
-use lsfb_drivers::velodyne::SensorPage;
 use lsfb_geometry::Rig;
 use lsfb_types::ProgressFn;
 
@@ -269,10 +268,7 @@ fn listen_together(nets: &[&LidarNetConfig]) -> Result<lidar::Listening, Error> 
     for net in nets {
         // What it says that cannot be used is said before anything is set.
         let settings = net.decoder()?;
-        if let Some(wanted) = &net.settings {
-            let changes = wanted.changes(net.data.port(), net.position.port());
-            SensorPage::at(wanted.page).apply(&changes)?;
-        }
+        net.set()?;
         let ports = [net.data, net.position].map(|address| {
             let is_known = |bind: &SocketAddr| *bind == address && address.port() != 0;
             binds.iter().position(is_known).unwrap_or_else(|| {

@@ -1,9 +1,11 @@
-//! Who may use whom (ARCHITECTURE.md, "Layers"): an edge that the table does not have fails here.
+//! Who may use whom (ARCHITECTURE.md, "Layers"): an edge that the table does not have fails here. So does whoever names the module of a
+//! LiDAR's vendor instead of `any_lidar`.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::process::Command;
 
-use lsfb_tests::workspace_root;
+use lsfb_tests::{rust_files, workspace_root};
 use serde_json::Value;
 
 /// Crate → what it may use. `lsfb-cli` and `lsfb-tests` may use everything.
@@ -150,5 +152,120 @@ fn architecture_names_every_crate() {
             text.contains(&format!("`{name}`")),
             "ARCHITECTURE.md does not mention `{name}`"
         );
+    }
+}
+
+/// Outside its own folder, a vendor stands in these files (CONTRIBUTING.md), and its fuzz target in one of its own.
+const VENDOR_PLACES: [&str; 8] = [
+    "drivers/src/any_lidar/mod.rs",
+    "drivers/src/lib.rs",
+    "drivers/Cargo.toml",
+    "drivers/README.md",
+    "docs/devices.md",
+    "ARCHITECTURE.md",
+    "fuzz/Cargo.toml",
+    "fuzz/README.md",
+];
+
+fn text_of(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The modules of the list `lidars!`.
+fn vendors() -> Vec<String> {
+    let text = text_of(&workspace_root().join("drivers/src/any_lidar/mod.rs"));
+    let list = text.split("\nlidars! {\n").nth(1);
+    let lines = list
+        .and_then(|rest| rest.split("}\n").next())
+        .expect("list");
+    let modules = lines
+        .lines()
+        .filter_map(|line| line.split_whitespace().nth(1));
+    modules.map(str::to_owned).collect()
+}
+
+/// Whether a source names a module, in a path or to use it; tests at its end may.
+fn names_module(source: &str, module: &str) -> bool {
+    let code = source
+        .split("#[cfg(test)]\nmod ")
+        .next()
+        .unwrap_or_default();
+    let lines = code.lines().map(str::trim_start);
+    let mut code = lines.filter(|line| !line.starts_with("//"));
+    code.any(|line| {
+        line.match_indices(module).any(|(at, _)| {
+            let (before, after) = (&line[..at], &line[at + module.len()..]);
+            let is_whole = !before.ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            is_whole && (after.starts_with("::") || (before.ends_with("::") && after == ";"))
+        })
+    })
+}
+
+#[test]
+fn nobody_but_the_list_of_lidars_names_a_vendor() {
+    let root = workspace_root();
+    let vendors = vendors();
+    assert_eq!(vendors, ["velodyne", "hesai"], "read from the list");
+    let mut looked_at = 0;
+    for path in rust_files(&root) {
+        let path = path.strip_prefix(&root).expect("below the root");
+        let is_of_tests = path.components().any(|part| {
+            let part = part.as_os_str();
+            ["tests", "tests.rs", "fuzz", "benches", "examples"]
+                .iter()
+                .any(|name| part == *name)
+        });
+        if is_of_tests {
+            continue;
+        }
+        looked_at += 1;
+        let source = text_of(&root.join(path));
+        for vendor in &vendors {
+            let is_own = path.starts_with(Path::new("drivers/src").join(vendor));
+            // The simulated LiDARs are Velodyne's.
+            let is_simulated = vendor == "velodyne" && path.starts_with("crates/sim");
+            let is_named = names_module(&source, vendor);
+            assert!(
+                is_own || is_simulated || !is_named,
+                "{} names {vendor}: let it use any_lidar, which takes the next vendor too",
+                path.display()
+            );
+        }
+    }
+    assert!(looked_at > 500, "{looked_at} files were looked at");
+    assert!(names_module(
+        "use lsfb_drivers::velodyne::SensorPage;",
+        "velodyne"
+    ));
+    assert!(names_module("use lsfb_drivers::hesai;", "hesai"));
+    assert!(!names_module(
+        "use any_velodyne::X;\n// velodyne::X",
+        "velodyne"
+    ));
+}
+
+/// What CONTRIBUTING.md says that a new vendor takes is what each of them took.
+#[test]
+fn a_vendor_stands_where_contributing_says() {
+    let root = workspace_root();
+    let contributing = text_of(&root.join("CONTRIBUTING.md"));
+    for place in VENDOR_PLACES {
+        assert!(contributing.contains(&format!("`{place}`")), "{place}");
+        let text = text_of(&root.join(place)).to_lowercase();
+        for vendor in vendors() {
+            assert!(text.contains(&vendor), "{place} lacks {vendor}");
+        }
+    }
+    for vendor in vendors() {
+        let folder = root.join("drivers/src").join(&vendor);
+        for part in ["wire", "model", "decode", "device", "reference", "mod"] {
+            let is_there = folder.join(part).join("mod.rs").is_file()
+                || folder.join(format!("{part}.rs")).is_file();
+            assert!(is_there, "{vendor} has no {part}.rs");
+        }
+        let target = root
+            .join("fuzz/fuzz_targets")
+            .join(format!("{vendor}_data.rs"));
+        assert!(target.is_file(), "{}", target.display());
     }
 }

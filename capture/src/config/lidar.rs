@@ -3,10 +3,10 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use lsfb_drivers::any_lidar::{Model, Settings};
-use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
-use lsfb_drivers::velodyne::VelodyneConfig;
-use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
+use lsfb_drivers::any_lidar::{DEFAULT_PORTS, Model, Settings, page_of};
+use lsfb_drivers::lidar::{
+    BeamAngles, Destination, Page, RECEIVE_BUFFER_BYTES, Returns, ScanSettings, SensorSettings,
+};
 use lsfb_geometry::MAIN_LIDAR;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
@@ -42,8 +42,8 @@ pub struct LidarNetConfig {
     pub settings: Option<LidarSettingsConfig>,
 }
 
-/// Settings of a Velodyne sensor. Each is written to its web page and read back; the first that was not taken is an error. What
-/// is not named stays. They last until the sensor loses power.
+/// Settings of a sensor with a web page that is known, as Velodyne's. Each is written to the page and read back; the first that was not
+/// taken is an error. What is not named stays. They last until the sensor loses power.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LidarSettingsConfig {
@@ -92,48 +92,21 @@ lsfb_types::bounds! {
     }
 }
 
-impl LidarSettingsConfig {
-    /// The changes, one by one.
-    pub(crate) fn changes(&self, data_port: u16, position_port: u16) -> Vec<Setting> {
-        let returns = self.returns.map(Setting::Returns);
-        let field_of_view = self
-            .field_of_view_deg
-            .map(|[start_deg, end_deg]| Setting::FieldOfView(FieldOfView { start_deg, end_deg }));
-        let phase_lock = self.phase_lock_centideg.map(|offset_centideg| {
-            Setting::PhaseLock(PhaseLock {
-                lock: Switch::On,
-                offset_centideg,
-            })
-        });
-        let destination = self.destination.map(|address| {
-            Setting::Destination(Destination {
-                address,
-                data_port,
-                position_port,
-            })
-        });
-        let rpm = self.rpm.map(Setting::Rpm);
-        [rpm, returns, field_of_view, phase_lock, destination]
-            .into_iter()
-            .flatten()
-            .collect()
-    }
-}
-
 impl Default for LidarNetConfig {
     /// The factory ports on every interface, any sensor.
     fn default() -> Self {
-        let wire = VelodyneConfig::default();
+        let any = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+        let [data, position] = DEFAULT_PORTS.map(|port| SocketAddr::new(any, port));
         Self {
             name: MAIN_LIDAR.to_owned(),
-            data: wire.data_bind,
-            position: wire.position_bind,
+            data,
+            position,
             model: ANY.to_owned(),
             force_returns: None,
             angles: None,
             cut_azimuth_deg: 0.0,
-            sensor: wire.sensor,
-            receive_buffer_bytes: wire.receive_buffer_bytes,
+            sensor: None,
+            receive_buffer_bytes: RECEIVE_BUFFER_BYTES,
             settings: None,
         }
     }
@@ -151,35 +124,74 @@ impl LidarNetConfig {
 
     /// Refuses what the sensor would: before anything is opened, and before any of its settings is changed.
     pub(super) fn check_settings(&self) -> Result<(), Error> {
-        let (data, position) = (self.data.port(), self.position.port());
-        let changes = self.settings.iter().flat_map(|s| s.changes(data, position));
-        for change in changes {
-            change.emit().map_err(|problem| Error::LidarSettings {
-                lidar: self.name.clone(),
-                problem: problem.to_string(),
-            })?;
-        }
+        let Some(wanted) = &self.settings else {
+            return Ok(());
+        };
+        let checked = (self.page()?.check)(&self.sensor_settings(wanted));
+        checked.map_err(|problem| self.refused(problem.to_string()))
+    }
+
+    /// Sets the sensor where that is asked for.
+    pub(crate) fn set(&self) -> Result<(), Error> {
+        let Some(wanted) = &self.settings else {
+            return Ok(());
+        };
+        (self.page()?.apply)(wanted.page, &self.sensor_settings(wanted))?;
         Ok(())
+    }
+
+    /// The page that sets its settings.
+    fn page(&self) -> Result<Page, Error> {
+        page_of(self.model()?).ok_or_else(|| {
+            let model = &self.model;
+            self.refused(format!(
+                "settings of model {model} cannot be changed from here: remove them from the list of devices"
+            ))
+        })
+    }
+
+    /// What is wanted of a sensor whose packets are to arrive at its ports.
+    fn sensor_settings(&self, wanted: &LidarSettingsConfig) -> SensorSettings {
+        SensorSettings {
+            rpm: wanted.rpm,
+            returns: wanted.returns,
+            field_of_view_deg: wanted.field_of_view_deg,
+            phase_lock_centideg: wanted.phase_lock_centideg,
+            destination: wanted.destination.map(|address| Destination {
+                address,
+                data_port: self.data.port(),
+                position_port: self.position.port(),
+            }),
+        }
+    }
+
+    fn refused(&self, problem: String) -> Error {
+        Error::LidarSettings {
+            lidar: self.name.clone(),
+            problem,
+        }
+    }
+
+    /// The sensor that it must be; `None` takes what the packets say.
+    fn model(&self) -> Result<Option<Model>, Error> {
+        if self.model == ANY {
+            return Ok(None);
+        }
+        Model::from_key(&self.model).map(Some).ok_or_else(|| {
+            let known = Model::keys();
+            self.refused(format!(
+                "model = {:?} is unknown: expected {ANY}, {known}",
+                self.model
+            ))
+        })
     }
 
     /// How its packets are read; the file of beam angles is.
     pub(crate) fn decoder(&self) -> Result<Settings, Error> {
-        let refused = |problem: String| Error::LidarSettings {
-            lidar: self.name.clone(),
-            problem,
-        };
-        let model = match self.model.as_str() {
-            ANY => None,
-            name => Some(Model::from_key(name).ok_or_else(|| {
-                let known = Model::keys();
-                refused(format!(
-                    "model = {name:?} is unknown: expected {ANY}, {known}"
-                ))
-            })?),
-        };
+        let model = self.model()?;
         if self.force_returns.is_some() && model.is_none() {
             let problem = "force_returns needs the model of the LiDAR";
-            return Err(refused(problem.to_owned()));
+            return Err(self.refused(problem.to_owned()));
         }
         let angles = match &self.angles {
             Some(path) => {
@@ -187,7 +199,7 @@ impl LidarNetConfig {
                     path: path.clone(),
                     cause,
                 })?;
-                let named = |error| refused(format!("{}: {error}", path.display()));
+                let named = |error| self.refused(format!("{}: {error}", path.display()));
                 Some(BeamAngles::parse_csv(&text).map_err(named)?)
             }
             None => None,

@@ -6,12 +6,11 @@ mod lidar;
 mod recorder;
 mod sidecar;
 
-use std::collections::BTreeSet;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::ImuFamily;
-use lsfb_types::OutOfBounds;
+use lsfb_types::{Names, OutOfBounds};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -130,56 +129,38 @@ impl DevicesConfig {
         Ok(config)
     }
 
-    /// Refuses settings outside their bounds, cameras that cannot be told apart, and images that do not fill a frame.
+    /// Refuses settings outside their bounds, images that do not fill a frame, and LiDARs that would take each other's packets.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        self.check_bounds()?;
+        self.check_bounds("")?;
         for lidar in &self.lidars {
             lidar.check_settings()?;
         }
-        let mut known = BTreeSet::new();
         for unit in &self.cameras {
-            let names = unit.names.join(", ");
-            let problem = if unit.format().image_width(unit.names.len() as u32).is_none() {
+            if unit.format().image_width(unit.names.len() as u32).is_none() {
                 let [width, height] = unit.frame_px;
                 let count = unit.names.len();
-                format!("{count} images do not fill a frame of {width}x{height}")
-            } else if let Some(name) = unit.names.iter().find(|n| !known.insert(n.as_str())) {
-                format!("{name} occurs twice")
-            } else {
-                continue;
-            };
-            return Err(Error::Cameras { names, problem });
+                return Err(Error::Cameras {
+                    names: unit.names.join(", "),
+                    problem: format!("{count} images do not fill a frame of {width}x{height}"),
+                });
+            }
         }
-        self.check_names()
+        self.check_ports()
     }
 
-    /// Refuses settings outside their bounds, by the names that they have in `devices.toml`: `[[lidar]]`, not `lidars`.
-    fn check_bounds(&self) -> Result<(), OutOfBounds> {
-        // Every field is named, so that one that is added is not forgotten here.
-        let Self {
-            rig: _,
-            overflow: _,
-            recorder,
-            lidars,
-            cameras,
-            imus,
-            sidecar: _,
-        } = self;
-        recorder.check_bounds("recorder")?;
-        lidars.iter().try_for_each(|l| l.check_bounds("lidar"))?;
-        cameras.iter().try_for_each(|c| c.check_bounds("camera"))?;
-        imus.iter().try_for_each(|i| i.check_bounds("imu"))
+    /// Devices have names of their own, which are parts of topics.
+    fn is_named(&self, _section: &str) -> Result<(), OutOfBounds> {
+        let of_cameras = self.cameras.iter().flat_map(|unit| {
+            let cameras = unit.names.iter().map(|name| ("camera.names", name));
+            cameras.chain(unit.imu.iter().map(|name| ("camera.imu", name)))
+        });
+        let lidars = self.lidars.iter().map(|lidar| ("lidar.name", &lidar.name));
+        let imus = self.imus.iter().map(|imu| ("imu.name", &imu.name));
+        let all = of_cameras.chain(lidars).chain(imus);
+        DEVICE_NAMES.check(all.map(|(setting, name)| (setting, name.as_str())))
     }
 
-    /// Refuses devices of one name, names that are no parts of topics, and LiDARs that would take each other's packets.
-    fn check_names(&self) -> Result<(), Error> {
-        let units = self.cameras.iter();
-        let inside = units.flat_map(|unit| unit.names.iter().chain(&unit.imu));
-        let lidars = self.lidars.iter().map(|lidar| &lidar.name);
-        let names = inside
-            .chain(lidars)
-            .chain(self.imus.iter().map(|imu| &imu.name));
-        check_device_names(names)?;
+    fn check_ports(&self) -> Result<(), Error> {
         for (index, lidar) in self.lidars.iter().enumerate() {
             let takes_same = |other: &&LidarNetConfig| {
                 let has_own_address = lidar.sensor.is_some()
@@ -227,27 +208,24 @@ impl DevicesConfig {
     }
 }
 
-/// Refuses two devices of one name, and names that are no parts of topics.
-pub(crate) fn check_device_names<'a>(
-    names: impl IntoIterator<Item = &'a String>,
-) -> Result<(), Error> {
-    let mut known = BTreeSet::new();
-    for name in names {
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
-        let problem = if name.is_empty() || !name.chars().all(is_plain) {
-            "a name consists of letters, digits and underscores"
-        } else if !known.insert(name) {
-            "two devices have this name"
-        } else {
-            continue;
-        };
-        return Err(Error::DeviceName {
-            name: name.clone(),
-            problem,
-        });
+lsfb_types::bounds! {
+    DevicesConfig {
+        rig: any,
+        overflow: any,
+        recorder: section,
+        lidars as "lidar": sections,
+        cameras as "camera": sections,
+        imus as "imu": sections,
+        sidecar: sections,
     }
-    Ok(())
+    also is_named
 }
+
+/// Names of devices are parts of topics.
+pub(crate) const DEVICE_NAMES: Names = Names {
+    holds: |c| c.is_ascii_alphanumeric() || c == '_',
+    letters: "letters, digits and underscores",
+};
 
 #[cfg(test)]
 mod tests;

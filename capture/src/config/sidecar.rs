@@ -26,6 +26,16 @@ pub struct SidecarConfig {
     pub hash_identifiers: bool,
 }
 
+lsfb_types::bounds! {
+    SidecarConfig {
+        listen: any,
+        push_listen: any,
+        folder: any,
+        come_back_secs: any,
+        hash_identifiers: any,
+    }
+}
+
 fn sidecar_folder() -> PathBuf {
     PathBuf::from("sidecar")
 }

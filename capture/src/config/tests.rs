@@ -42,9 +42,9 @@ fn one_lidar_is_a_table_several_are_an_array_and_they_keep_apart() {
     let two = read(
         "[[lidar]]\n[[lidar]]\nname = 'lidar_rear'\ndata = '0.0.0.0:2369'\nposition = '0.0.0.0:8309'\n",
     );
-    assert!(two.check_names().is_ok());
+    assert!(two.check().is_ok());
     assert_eq!(read(&two.to_toml()), two);
-    let problem = |text: &str| read(text).check_names().unwrap_err().to_string();
+    let problem = |text: &str| read(text).check().unwrap_err().to_string();
     let message = problem("[[lidar]]\n[[lidar]]\nname = 'lidar_rear'\n");
     assert!(
         message.contains("lidar and lidar_rear listen on one port"),
@@ -53,14 +53,15 @@ fn one_lidar_is_a_table_several_are_an_array_and_they_keep_apart() {
     let told_apart = read(
         "[[lidar]]\nsensor = '192.168.1.201'\n[[lidar]]\nname = 'lidar_rear'\nsensor = '192.168.1.202'\n",
     );
-    assert!(told_apart.check_names().is_ok());
+    assert!(told_apart.check().is_ok());
     let message = problem(
         "[[lidar]]\nsensor = '192.168.1.201'\n[[lidar]]\nname = 'lidar_rear'\nsensor = '192.168.1.201'\n",
     );
     assert!(message.contains("listen on one port"), "{message}");
     let message = problem("[[lidar]]\n[[lidar]]\n");
     assert!(
-        message.contains("lidar: two devices have this name"),
+        message
+            .contains("setting lidar.name is \"lidar\": it must be a name that nothing else has"),
         "{message}"
     );
     let message = problem("[lidar]\nname = 'rear/left'\n");
@@ -107,6 +108,9 @@ fn numbers_of_a_lidar_outside_their_bounds_are_refused_by_name() {
     let good = format!("{page}rpm = 600\nfield_of_view_deg = [0, 359]\n");
     let config: DevicesConfig = toml::from_str(&good).unwrap();
     assert!(config.check().is_ok());
+    // The page of another vendor was asked as if it were this one's.
+    let message = refused(&format!("[lidar]\nmodel = 'xt32'\n{good}"));
+    assert!(message.contains("settings of model xt32"), "{message}");
 }
 
 #[test]
@@ -128,8 +132,14 @@ fn cameras_that_share_a_name_or_do_not_fill_a_frame_are_refused() {
         assert!(with(good).check().is_ok(), "{good:?}");
     }
     for (bad, expected) in [
-        (&[&["cam0", "cam0"][..]][..], "cam0 occurs twice"),
-        (&[&["cam0", "cam1"], &["cam1", "cam2"]], "cam1 occurs twice"),
+        (
+            &[&["cam0", "cam0"][..]][..],
+            "setting camera.names is \"cam0\": it must be a name that nothing else has",
+        ),
+        (
+            &[&["cam0", "cam1"], &["cam1", "cam2"]],
+            "setting camera.names is \"cam1\": it must be a name that nothing else has",
+        ),
         (
             &[&["a", "b", "c"]],
             "3 images do not fill a frame of 1280x400",

@@ -46,6 +46,46 @@ fn files_that_are_no_recordings() {
     }
 }
 
+/// What is made of a map that failed its checks said so in sentences on stderr, and its JSON had no verdict.
+#[test]
+fn what_is_made_of_a_map_that_failed_has_failed() {
+    let folder = with(&["map"]);
+    let path = folder.path();
+    let all = ["--min-m=-99,-99,-99", "--max-m", "99,99,99"];
+    let crop = |out: &str, code| {
+        let arguments = [&["map", "crop", "map"], &all[..], &["--out", out]].concat();
+        json(path, &arguments, code)
+    };
+    let good = crop("good", 0);
+    assert_eq!(good["verdict"], "pass", "{good}");
+    let header = path.join("map/map.toml");
+    let text = std::fs::read_to_string(&header).expect("header");
+    let failed = "failures = ['the IMU: its axes are exchanged']\n".to_owned() + &text;
+    std::fs::write(&header, failed).expect("header");
+    let export = |format: &str| json(path, &["map", "export", format, "map", "--out", format], 4);
+    let prune = [
+        "map",
+        "prune",
+        "map",
+        "--size-mb",
+        "1000",
+        "--out",
+        "pruned",
+    ];
+    for made in [
+        crop("part", 4),
+        export("keyframes"),
+        export("ply"),
+        json(path, &prune, 4),
+    ] {
+        assert_eq!(made["verdict"], "fail", "{made}");
+        let found = &made["findings"][0];
+        assert_eq!(found["code"], "map-failed", "{made}");
+        let what = found["what"].as_str().expect("words");
+        assert!(what.contains("axes are exchanged"), "{made}");
+    }
+}
+
 #[test]
 fn a_recording_that_is_cut_off_is_used_as_far_as_it_goes() {
     let folder = with(&[]);

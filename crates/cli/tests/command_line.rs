@@ -240,7 +240,7 @@ fn every_judgement_has_one_shape() {
     const FIELDS: [&str; 9] = [
         "code", "limit", "remedy", "sigma", "unit", "value", "verdict", "what", "where",
     ];
-    let folder = with(&["scan.mcap"]);
+    let folder = with(&["scan.mcap", "map"]);
     let path = folder.path();
     let walk: String = (0..200)
         .map(|n| {
@@ -259,6 +259,8 @@ fn every_judgement_has_one_shape() {
         "clock scan.mcap --out clock.html",
         "calib verify scan.mcap --out verify.html",
         "eval walk.tum --truth walk.tum",
+        "map crop map --min-m=-99,-99,-99 --max-m 99,99,99 --out part",
+        "map export keyframes map --out poses",
     ] {
         let arguments: Vec<&str> = command.split(' ').chain(["--json"]).collect();
         let output = lsfb(path, &arguments);

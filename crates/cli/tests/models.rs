@@ -45,6 +45,11 @@ fn weights_are_added_checked_and_refused() {
     assert!(added.status.success(), "{}", said(&added));
     let checked = lsfb(&models, &["models", "check"]);
     assert!(said(&checked).starts_with("PASS"), "{}", said(&checked));
+    let checked = lsfb(&models, &["models", "check", "--json"]);
+    let judged: serde_json::Value = serde_json::from_slice(&checked.stdout).expect("JSON");
+    assert_eq!(judged["verdict"], "pass", "{judged}");
+    assert_eq!(judged["findings"][0]["code"], "weights", "{judged}");
+    assert_eq!(judged["weights"][0]["agrees"], true, "{judged}");
 
     // Other weights of the same network: under their own name, and only where that is asked for.
     let last = bytes.len() - 3;

@@ -148,6 +148,21 @@ pub enum Error {
     /// No distance of a survey is between points of the map.
     #[error("no distance has both ends among the survey's points; add map points (point A x y z)")]
     NoMapDistance,
+    /// A trajectory in which no keyframe of a map lies.
+    #[error(
+        "no keyframe of the map lies within this trajectory: give the trajectory that `lsfb map --out-trajectory` wrote with the map"
+    )]
+    NoKeyframe,
+    /// A trajectory that does not pass through the keyframes of a map.
+    #[error(
+        "this is not the trajectory of this map: at its keyframes it differs by up to {far_cm:.1} cm and {far_deg:.2}°; give the trajectory that `lsfb map --out-trajectory` wrote with the map"
+    )]
+    AnotherTrajectory {
+        /// At most, centimetres.
+        far_cm: f64,
+        /// At most, degrees.
+        far_deg: f64,
+    },
     /// Too few poses for what was asked.
     #[error("{role} trajectory: {poses} poses, but {needed} are needed")]
     TooFewPoses {

@@ -27,6 +27,7 @@
 //! # Ok::<(), lsfb_eval::Error>(())
 //! ```
 
+pub mod ablation;
 pub mod alignment;
 pub mod association;
 pub mod barometer;

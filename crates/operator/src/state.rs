@@ -141,6 +141,43 @@ pub struct SyncState {
     pub problem: String,
 }
 
+/// Transport delays differ by less, milliseconds.
+const SYNC_GOOD_MS: f64 = 150.0;
+/// More than any transport, milliseconds: a clock is wrong.
+const SYNC_BAD_MS: f64 = 500.0;
+
+impl SyncState {
+    /// By how long samples of each device were under way by its own clock, milliseconds: that is its transport, which is short, and the error of
+    /// its clock.
+    pub fn of_delays(mut delays_ms: Vec<(f64, &str)>) -> Self {
+        delays_ms.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let [first, .., last] = delays_ms[..] else {
+            return Self::default();
+        };
+        let spread_ms = last.0 - first.0;
+        let level = match spread_ms {
+            s if s < SYNC_GOOD_MS => Level::Good,
+            s if s < SYNC_BAD_MS => Level::Warning,
+            _ => Level::Bad,
+        };
+        let problem = match level {
+            Level::Good => String::new(),
+            _ => format!(
+                "clocks of {} and {} differ by {spread_ms:.0} ms",
+                first.1, last.1
+            ),
+        };
+        Self {
+            level,
+            spread_ms: Some(spread_ms),
+            problem,
+        }
+    }
+}
+
+/// Free space that is little before a recording begins, bytes: a minute of four cameras.
+const LITTLE_BYTES: u64 = 10_000_000_000;
+
 /// The disk.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct StorageState {
@@ -156,6 +193,26 @@ pub struct StorageState {
     pub problem: String,
 }
 
+impl StorageState {
+    /// While nothing is written.
+    pub fn idle(free_bytes: u64) -> Self {
+        let level = match free_bytes < LITTLE_BYTES {
+            true => Level::Warning,
+            false => Level::Good,
+        };
+        Self {
+            level,
+            free_bytes,
+            ..Self::default()
+        }
+    }
+}
+
+/// Charge that is little to begin a walk with, percent.
+const LOW_PERCENT: f64 = 25.0;
+/// Charge with which the walk should end, percent.
+const VERY_LOW_PERCENT: f64 = 10.0;
+
 /// The host's battery.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BatteryState {
@@ -165,6 +222,23 @@ pub struct BatteryState {
     pub percent: f64,
     /// Whether it is being charged.
     pub charging: bool,
+}
+
+impl BatteryState {
+    /// With so much charge.
+    pub fn new(percent: f64, charging: bool) -> Self {
+        let level = match percent {
+            _ if charging => Level::Good,
+            p if p < VERY_LOW_PERCENT => Level::Bad,
+            p if p < LOW_PERCENT => Level::Warning,
+            _ => Level::Good,
+        };
+        Self {
+            level,
+            percent,
+            charging,
+        }
+    }
 }
 
 /// Where the rig is, seen from above.
@@ -232,4 +306,34 @@ pub struct ControlPoint {
     pub name: String,
     /// Where the rig was then, metres; `None` where that was not known.
     pub position_m: Option<[f64; 3]>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_battery_that_is_charged_is_never_low() {
+        for (percent, charging, level) in [
+            (5.0, false, Level::Bad),
+            (17.0, false, Level::Warning),
+            (80.0, false, Level::Good),
+            (5.0, true, Level::Good),
+        ] {
+            assert_eq!(BatteryState::new(percent, charging).level, level);
+        }
+    }
+
+    #[test]
+    fn clocks_that_differ_by_more_than_transports_are_named() {
+        assert_eq!(
+            SyncState::of_delays(vec![(900.0, "imu0")]),
+            SyncState::default()
+        );
+        let near = SyncState::of_delays(vec![(12.0, "lidar"), (2.0, "imu0")]);
+        assert_eq!((near.level, near.spread_ms), (Level::Good, Some(10.0)));
+        let far = SyncState::of_delays(vec![(1_003.0, "imu0"), (12.0, "lidar")]);
+        assert_eq!(far.level, Level::Bad);
+        assert_eq!(far.problem, "clocks of lidar and imu0 differ by 991 ms");
+    }
 }

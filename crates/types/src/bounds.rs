@@ -65,6 +65,10 @@ pub enum Bounds {
     Between(f64, f64),
     /// Zero, which switches something off, or from the first to the second.
     ZeroOr(f64, f64),
+    /// A multiple of the first, from the second to the third, both included.
+    MultipleOf(f64, f64, f64),
+    /// What this is a multiple of.
+    DivisorOf(f64),
 }
 
 impl Bounds {
@@ -84,6 +88,10 @@ impl Bounds {
                 Self::Within(least, most) => is_within(value, least, most),
                 Self::Between(below, above) => value > below && value < above,
                 Self::ZeroOr(least, most) => value == 0.0 || is_within(value, least, most),
+                Self::MultipleOf(step, least, most) => {
+                    value % step == 0.0 && is_within(value, least, most)
+                }
+                Self::DivisorOf(whole) => value > 0.0 && whole % value == 0.0,
             }
     }
 }
@@ -103,6 +111,10 @@ impl fmt::Display for Bounds {
             Self::Between(below, above) => write!(f, "more than {below} and less than {above}"),
             Self::ZeroOr(least, f64::INFINITY) => write!(f, "0, or {least} or more"),
             Self::ZeroOr(least, most) => write!(f, "0, or {least} to {most}"),
+            Self::MultipleOf(step, least, most) => {
+                write!(f, "a multiple of {step} from {least} to {most}")
+            }
+            Self::DivisorOf(whole) => write!(f, "a divisor of {whole}"),
         }
     }
 }
@@ -111,15 +123,31 @@ impl fmt::Display for Bounds {
 /// forgotten does not compile.
 ///
 /// A field is `number(bounds)`, `each(bounds)` of an array or list, `optional(bounds)`, `section` (settings with bounds of
-/// their own), `sections` of a list of those, or `any` where its type allows nothing wrong.
+/// their own), `sections` of a list of those, or `any` where its type allows nothing wrong. A field that files call otherwise is
+/// listed `as` they call it. What fields must be to each other stands in a method that is named behind `also`: it is asked once each
+/// field is within its bounds, wherever these settings are part of others.
 ///
 /// ```
-/// use lsfb_types::Bounds;
+/// use lsfb_types::{Bounds, OutOfBounds};
 ///
-/// struct Fine { step_m: f64 }
+/// struct Fine { step_m: f64, reach_m: f64 }
 /// struct Search { rounds: u32, window_s: [f64; 2], fine: Fine, name: String }
 ///
-/// lsfb_types::bounds! { Fine { step_m: number(Bounds::POSITIVE) } }
+/// lsfb_types::bounds! {
+///     Fine {
+///         step_m: number(Bounds::POSITIVE),
+///         reach_m: number(Bounds::POSITIVE),
+///     }
+///     also reaches_a_step
+/// }
+/// impl Fine {
+///     fn reaches_a_step(&self, section: &str) -> Result<(), OutOfBounds> {
+///         match self.reach_m >= self.step_m {
+///             true => Ok(()),
+///             false => Err(OutOfBounds::new(section, "reach_m", &self.reach_m, &"step_m or more")),
+///         }
+///     }
+/// }
 /// lsfb_types::bounds! {
 ///     Search {
 ///         rounds: number(Bounds::Within(1.0, 8.0)),
@@ -129,44 +157,60 @@ impl fmt::Display for Bounds {
 ///     }
 /// }
 ///
-/// let search = Search { rounds: 3, window_s: [0.0, 1.0], fine: Fine { step_m: f64::NAN }, name: String::new() };
-/// let refused = search.check_bounds("search").unwrap_err();
-/// assert_eq!(refused.to_string(), "setting search.fine.step_m is NaN: it must be more than 0");
+/// let refused = |step_m: f64| {
+///     let fine = Fine { step_m, reach_m: 0.5 };
+///     let search = Search { rounds: 3, window_s: [0.0, 1.0], fine, name: String::new() };
+///     search.check_bounds("search").unwrap_err().to_string()
+/// };
+/// assert_eq!(refused(f64::NAN), "setting search.fine.step_m is NaN: it must be more than 0");
+/// assert_eq!(refused(1.0), "setting search.fine.reach_m is 0.5: it must be step_m or more");
 /// ```
 #[macro_export]
 macro_rules! bounds {
-    (@number $section:ident $field:ident $bounds:expr) => {
+    (@name $field:ident) => {
+        stringify!($field)
+    };
+    (@name $field:ident $name:literal) => {
+        $name
+    };
+    (@number $section:ident $field:ident ($name:expr) $bounds:expr) => {
         if !$bounds.hold(*$field as f64) {
-            return Err($crate::OutOfBounds::new($section, stringify!($field), $field, &$bounds));
+            return Err($crate::OutOfBounds::new($section, $name, $field, &$bounds));
         }
     };
-    (@each $section:ident $field:ident $bounds:expr) => {
+    (@each $section:ident $field:ident ($name:expr) $bounds:expr) => {
         for value in $field.iter() {
             if !$bounds.hold(*value as f64) {
-                return Err($crate::OutOfBounds::new($section, stringify!($field), value, &$bounds));
+                return Err($crate::OutOfBounds::new($section, $name, value, &$bounds));
             }
         }
     };
-    (@optional $section:ident $field:ident $bounds:expr) => {
-        $crate::bounds!(@each $section $field $bounds)
+    (@optional $section:ident $field:ident ($name:expr) $bounds:expr) => {
+        $crate::bounds!(@each $section $field ($name) $bounds)
     };
-    (@section $section:ident $field:ident) => {
-        $field.check_bounds(&$crate::setting_name($section, stringify!($field)))?
+    (@section $section:ident $field:ident ($name:expr)) => {
+        $field.check_bounds(&$crate::setting_name($section, $name))?
     };
-    (@sections $section:ident $field:ident) => {
+    (@sections $section:ident $field:ident ($name:expr)) => {
         for part in $field.iter() {
-            part.check_bounds(&$crate::setting_name($section, stringify!($field)))?;
+            part.check_bounds(&$crate::setting_name($section, $name))?;
         }
     };
-    (@any $section:ident $field:ident) => {
+    (@any $section:ident $field:ident ($name:expr)) => {
         let _ = $field;
     };
-    ($config:ident { $( $field:ident : $kind:ident $( ($bounds:expr) )? ),+ $(,)? }) => {
+    (
+        $config:ident {
+            $( $field:ident $(as $name:literal)? : $kind:ident $( ($bounds:expr) )? ),+ $(,)?
+        }
+        $(also $relation:ident)?
+    ) => {
         impl $config {
             /// Refuses what lies outside its bounds; `section` is what these settings are called as a part of others.
             pub fn check_bounds(&self, section: &str) -> Result<(), $crate::OutOfBounds> {
                 let Self { $($field),+ } = self;
-                $( $crate::bounds!(@$kind section $field $($bounds)?); )+
+                $( $crate::bounds!(@$kind section $field ($crate::bounds!(@name $field $($name)?)) $($bounds)?); )+
+                $( self.$relation(section)?; )?
                 Ok(())
             }
         }
@@ -175,7 +219,7 @@ macro_rules! bounds {
 
 #[cfg(test)]
 mod tests {
-    use super::Bounds;
+    use super::{Bounds, OutOfBounds};
 
     struct All {
         count: usize,
@@ -183,6 +227,36 @@ mod tests {
         pair: [f64; 2],
         maybe: Option<f64>,
         pause_s: f64,
+        rpm: u16,
+        rate_hz: u32,
+        parts: Vec<Part>,
+    }
+
+    struct Part {
+        least: u8,
+        most: u8,
+    }
+
+    crate::bounds! {
+        Part {
+            least: any,
+            most: number(Bounds::AT_LEAST_ONE),
+        }
+        also is_in_order
+    }
+
+    impl Part {
+        fn is_in_order(&self, section: &str) -> Result<(), OutOfBounds> {
+            match self.least <= self.most {
+                true => Ok(()),
+                false => Err(OutOfBounds::new(
+                    section,
+                    "most",
+                    &self.most,
+                    &"least or more",
+                )),
+            }
+        }
     }
 
     crate::bounds! {
@@ -192,6 +266,9 @@ mod tests {
             pair: each(Bounds::NOT_NEGATIVE),
             maybe: optional(Bounds::POSITIVE),
             pause_s: number(Bounds::ZeroOr(1.0, f64::INFINITY)),
+            rpm: number(Bounds::MultipleOf(60.0, 300.0, 1200.0)),
+            rate_hz: number(Bounds::DivisorOf(1e6)),
+            parts as "part": sections,
         }
     }
 
@@ -202,6 +279,9 @@ mod tests {
             pair: [0.0, 2.0],
             maybe: None,
             pause_s: 0.0,
+            rpm: 600,
+            rate_hz: 200,
+            parts: Vec::new(),
         }
     }
 
@@ -240,6 +320,24 @@ mod tests {
                     ..good()
                 },
                 "pause_s is 0.5: it must be 0, or 1 or more",
+            ),
+            (
+                All { rpm: 610, ..good() },
+                "rpm is 610: it must be a multiple of 60 from 300 to 1200",
+            ),
+            (
+                All {
+                    rate_hz: 300,
+                    ..good()
+                },
+                "rate_hz is 300: it must be a divisor of 1000000",
+            ),
+            (
+                All {
+                    parts: vec![Part { least: 2, most: 1 }],
+                    ..good()
+                },
+                "part.most is 1: it must be least or more",
             ),
         ] {
             let refused = settings.check_bounds("").expect_err(expected).to_string();

@@ -8,6 +8,7 @@
 //! (device, arrival, synchronized) that the recording keeps side by side and never overwrites.
 
 mod bounds;
+mod names;
 mod packet;
 mod progress;
 mod ros_packets;
@@ -18,6 +19,7 @@ mod timestamp;
 mod verdict;
 
 pub use bounds::{Bounds, OutOfBounds, setting_name};
+pub use names::Names;
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
 pub use ros_packets::RosPackets;

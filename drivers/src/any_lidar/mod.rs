@@ -1,8 +1,8 @@
 //! One decoder for whatever LiDAR sends.
 //!
 //! A new LiDAR is a folder like `hesai/` and a line in the list at the end of `lidars!`. Its module offers the same names as
-//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `FACTORY_PORTS`, `recognise`, `is_beside`, `device_ns` and
-//! `position`.
+//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `FACTORY_PORTS`, `PAGE`, `recognise`, `is_beside`,
+//! `device_ns` and `position`. Nobody outside this crate names a vendor's module to record, so that all take the new one from the list.
 //!
 //! ```
 //! use lsfb_drivers::any_lidar::{Decoder, Settings};
@@ -19,7 +19,7 @@ mod reorder;
 
 use lsfb_types::{LidarScan, Packet, Timestamp};
 
-use crate::lidar::{Counters, Found, Position, ScanSettings};
+use crate::lidar::{Counters, Found, Page, Position, ScanSettings};
 use crate::{Decoded, WireError};
 
 pub use looks_like::looks_like;
@@ -225,18 +225,23 @@ macro_rules! lidars {
             false
         }
 
-        /// UDP ports to which LiDARs send unless told otherwise, each once.
-        pub fn factory_ports() -> Vec<u16> {
-            let mut ports = Vec::new();
+        /// Ports of data packets and of those beside them, as the sensors leave the factory.
+        const FACTORY_PORTS: &[[u16; 2]] = &[
             $(
                 #[cfg(feature = $feature)]
-                for port in crate::$module::FACTORY_PORTS {
-                    if !ports.contains(&port) {
-                        ports.push(port);
-                    }
+                crate::$module::FACTORY_PORTS,
+            )+
+        ];
+
+        /// The page on which sensors of a model are set; where it is not known, that of the first LiDAR in the list that has one.
+        pub fn page_of(model: Option<Model>) -> Option<Page> {
+            $(
+                #[cfg(feature = $feature)]
+                if let (None | Some(Model::$Lidar(_)), Some(page)) = (model, crate::$module::PAGE) {
+                    return Some(page);
                 }
             )+
-            ports
+            None
         }
 
         /// Time of a data packet past the sensor's hour, nanoseconds; `None` where it is no data packet of a known LiDAR.
@@ -277,6 +282,20 @@ macro_rules! lidars {
 lidars! {
     Velodyne velodyne "velodyne",
     Hesai hesai "hesai",
+}
+
+/// Ports of data packets and of those beside them, unless told otherwise: those of the first LiDAR in the list.
+pub const DEFAULT_PORTS: [u16; 2] = FACTORY_PORTS[0];
+
+/// UDP ports to which LiDARs send unless told otherwise, each once.
+pub fn factory_ports() -> Vec<u16> {
+    let mut ports = Vec::new();
+    for port in FACTORY_PORTS.iter().flatten() {
+        if !ports.contains(port) {
+            ports.push(*port);
+        }
+    }
+    ports
 }
 
 /// Whose a datagram seems to be, decoded here or not.

@@ -1,5 +1,6 @@
 use super::*;
 use crate::hesai::wire::{Clock, DataPacket};
+use crate::lidar::SensorSettings;
 use crate::{hesai, velodyne};
 
 /// One XT32 packet, `number` half milliseconds after the top of the hour.
@@ -100,4 +101,25 @@ fn packets_that_overtook_each_other_are_put_back_and_a_set_clock_is_not_sorted()
         .collect();
     out.extend(reorder.finish());
     assert_eq!(out, [2_000, 2_001, 0, 1].map(xt32));
+}
+
+/// The pages of Velodyne sensors were asked for by whoever recorded, whatever the sensor was said to be.
+#[test]
+fn sensors_are_set_by_the_page_of_their_vendor() {
+    let settings = SensorSettings {
+        rpm: Some(601),
+        ..SensorSettings::default()
+    };
+    for model in [None, Some(Model::Velodyne(velodyne::Model::Vlp16))] {
+        let page = page_of(model).unwrap();
+        let refused = (page.check)(&settings).unwrap_err();
+        assert_eq!(refused.to_string(), "rpm cannot be `601`");
+    }
+    assert!(page_of(Some(Model::Hesai(hesai::Model::Xt32))).is_none());
+}
+
+#[test]
+fn ports_are_those_of_the_first_unless_told_otherwise() {
+    assert_eq!(DEFAULT_PORTS, [2368, 8308]);
+    assert_eq!(factory_ports(), [2368, 8308, 10110]);
 }

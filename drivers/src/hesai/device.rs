@@ -4,7 +4,11 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use super::model::FACTORY_PORTS;
 use crate::Error;
+use crate::lidar::{Page, RECEIVE_BUFFER_BYTES};
 use crate::transport::udp::{UdpConfig, UdpSource};
+
+/// These sensors have a web page; it is not known here how they are set by it.
+pub const PAGE: Option<Page> = None;
 
 /// Where a sensor's packets arrive.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,7 +32,7 @@ impl Default for HesaiConfig {
             data_bind: SocketAddr::new(any, data),
             gps_bind: SocketAddr::new(any, gps),
             sensor: None,
-            receive_buffer_bytes: 8 << 20,
+            receive_buffer_bytes: RECEIVE_BUFFER_BYTES,
         }
     }
 }

@@ -27,5 +27,5 @@ mod reference;
 pub mod wire;
 
 pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, is_beside, position, recognise};
-pub use device::{HesaiConfig, open};
+pub use device::{HesaiConfig, PAGE, open};
 pub use model::{FACTORY_PORTS, Model};

@@ -3,6 +3,7 @@
 mod angles;
 mod azimuths;
 mod order;
+mod page;
 mod scan_builder;
 
 use lsfb_types::Timestamp;
@@ -11,12 +12,16 @@ pub use angles::{AnglesError, BeamAngles};
 pub use azimuths::{Azimuths, SECTORS};
 pub use order::Instants;
 pub(crate) use order::{LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
+pub use page::{Destination, Page, SensorSettings, SettingsError};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
 pub(crate) use scan_builder::ScanBuilder;
 pub use scan_builder::TURN_CENTIDEG;
 #[cfg(feature = "velodyne")]
 pub(crate) use scan_builder::turn;
+
+/// Kernel receive buffer that is wanted for a sensor, bytes: seconds of its data.
+pub const RECEIVE_BUFFER_BYTES: usize = 8 << 20;
 
 /// Which echoes a sensor sends, as one asks for them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

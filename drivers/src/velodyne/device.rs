@@ -4,6 +4,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use super::model::FACTORY_PORTS;
 use crate::Error;
+use crate::lidar::RECEIVE_BUFFER_BYTES;
 use crate::transport::udp::{UdpConfig, UdpSource};
 
 /// Where a sensor's packets arrive.
@@ -28,7 +29,7 @@ impl Default for VelodyneConfig {
             data_bind: SocketAddr::new(any, data),
             position_bind: SocketAddr::new(any, position),
             sensor: None,
-            receive_buffer_bytes: 8 << 20,
+            receive_buffer_bytes: RECEIVE_BUFFER_BYTES,
         }
     }
 }

@@ -37,4 +37,4 @@ pub use device::{VelodyneConfig, open};
 pub use layout::{PacketLayout, Return, returns};
 pub use model::{FACTORY_PORTS, Model};
 pub use points::OpticalOffset;
-pub use web::{SensorPage, SensorWeb, SettingsHandling};
+pub use web::{PAGE, SensorPage, SensorWeb, SettingsHandling};

@@ -30,7 +30,7 @@ use std::ops::Range;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
 use lsfb_geometry::{Matrix3, Rig, RigCamera, Se3, StampedPose, UnitQuaternion, Vector3};
-use lsfb_types::Timestamp;
+use lsfb_types::{Finding, Judgement, Timestamp, Verdict};
 use nalgebra::Quaternion;
 
 use crate::Error;
@@ -199,6 +199,25 @@ impl HdMap {
     /// What was found wrong with it when it was made, a sentence each: poses in such a map may be far off. Empty where nothing was.
     pub fn failures(&self) -> &[String] {
         &self.failures
+    }
+
+    /// Each of them: whatever is made of such a map, and each pose in it, is as wrong.
+    pub fn failed_checks(&self) -> impl Iterator<Item = Finding> {
+        self.failures.iter().map(|why| {
+            let what = format!("failed its checks when it was made: {why}");
+            Finding::new("map-failed", Verdict::Fail, "map", what)
+                .remedy("fix that and map the place again")
+        })
+    }
+
+    /// What whoever makes something else of it has to say: that it failed, or that it did not.
+    pub fn checks(&self) -> Judgement {
+        let mut findings: Vec<Finding> = self.failed_checks().collect();
+        if findings.is_empty() {
+            let what = "failed no check when it was made";
+            findings.push(Finding::new("map-passed", Verdict::Pass, "map", what));
+        }
+        Judgement::new(findings)
     }
 
     /// With what was found wrong with it: [`HdMap::write`] keeps it beside the map, parts of it and maps that it is merged into have it too.

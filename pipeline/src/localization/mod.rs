@@ -29,6 +29,7 @@ mod refinement;
 mod scoring;
 mod sequence;
 mod shared_errors;
+mod tally;
 mod upright;
 mod verified;
 mod voting;
@@ -52,4 +53,5 @@ pub use queries::{
 };
 pub use ransac::{PoseEstimate, RansacConfig, estimate_known_pose, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};
+pub use tally::{RIGHT_ANGLE_DEG, RIGHT_DISTANCE_M, Tally};
 pub(crate) use verified::{VerifiedPose, verified_pose};

@@ -13,8 +13,8 @@ use super::outcome::{Localization, NotLocalized, NotLocalizedReason};
 
 /// Poses within this time vote for one another: half before, half after.
 const WINDOW_SECS: f64 = 10.0;
-/// Share of the instants of a window that must be localized.
-const LEAST_LOCALIZED: f64 = 0.2;
+/// Share of the instants of a window that must be localized: fewer poses than these may all be those that are accepted by chance.
+pub(super) const LEAST_LOCALIZED: f64 = 0.2;
 /// Of a window with more poses on one side every so many vote that no more do.
 const VOTERS_PER_SIDE: usize = 50;
 /// By how many poses the way through a pose must be longer, as a share of those that contradict it; one at least.

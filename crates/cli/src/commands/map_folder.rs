@@ -8,6 +8,8 @@ use lsfb_recording::Provenance;
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::files::name_of;
+use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
 /// Bytes of all files in it.
@@ -36,15 +38,19 @@ pub fn written(
     Ok(())
 }
 
-/// How a command ends that makes something else of a map: one that failed when it was made is as wrong in any other form.
-pub fn outcome_of(map: &HdMap, context: &Context) -> Outcome {
-    for what in map.failures() {
-        context.say(&format!(
-            "the map failed its checks when it was made: {what}"
-        ));
-    }
-    match map.failures().is_empty() {
-        true => Outcome::Done,
-        false => Outcome::JudgementFailed,
-    }
+/// Prints what was made of a map, with whether the map failed when it was made: one that did is as wrong in any other form. How the command
+/// ends.
+pub fn print_made(
+    map: &HdMap,
+    out: &Path,
+    made: &impl Serialize,
+    text: impl FnOnce() -> String,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let judgement = map.checks();
+    context.print(&Judged::new(&judgement, &name_of(out), made), || {
+        let text = format!("{}\n{}", text(), problem_lines(&judgement));
+        text.trim_end().to_owned()
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }

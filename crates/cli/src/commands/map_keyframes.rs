@@ -116,7 +116,7 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
         "notes": &notes,
         "failures": map.failures(),
     });
-    context.print(&summary, || {
+    let text = || {
         let mut text = format!(
             "{}: {} files, {all} keyframes",
             out.display(),
@@ -126,6 +126,6 @@ pub fn export(map: &HdMap, out: &Path, context: &Context) -> anyhow::Result<Outc
             text += &format!("\n  {note}");
         }
         text
-    })?;
-    Ok(super::map_folder::outcome_of(map, context))
+    };
+    super::map_folder::print_made(map, out, &summary, text, context)
 }

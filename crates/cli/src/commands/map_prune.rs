@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use lsfb_pipeline::hd_map::PruneConfig;
 
-use super::map_folder::{bytes_in, written};
+use super::map_folder::{bytes_in, print_made, written};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -68,7 +68,7 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
         "size_mb": [before_mb, after_mb],
         "report": &report,
     });
-    context.print(&summary, || {
+    let text = || {
         format!(
             "{}: {after_mb:.2} of {before_mb:.2} MB; {} of {} points, {} of {} descriptors (at most {} per point)\n  points per view: median {} of {}, minimum {} of {}",
             arguments.out.display(),
@@ -82,11 +82,12 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
             report.fewest_points_per_view[1],
             report.fewest_points_per_view[0]
         )
-    })?;
+    };
+    let outcome = print_made(&left, &arguments.out, &summary, text, context)?;
     anyhow::ensure!(
         after_mb <= arguments.size_mb,
         "{}: the map became {after_mb:.2} MB: ask for a smaller size",
         arguments.out.display()
     );
-    Ok(super::map_folder::outcome_of(&left, context))
+    Ok(outcome)
 }

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::map_depth::{DepthArguments, depth};
 use super::map_distances::{DistancesArguments, distances};
-use super::map_folder::{bytes_in, outcome_of, written};
+use super::map_folder::{bytes_in, print_made, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
 use super::map_scans::{ScansArguments, scans};
@@ -320,15 +320,15 @@ fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<
         "notes": &notes,
         "failures": map.failures(),
     });
-    context.print(&summary, || {
+    let text = || {
         let out = arguments.out.display();
         let mut text = format!("{out}: {} files, {} points", files.len(), map.point_count());
         for note in &notes {
             text += &format!("\n  {note}");
         }
         text
-    })?;
-    Ok(outcome_of(&map, context))
+    };
+    print_made(&map, &arguments.out, &summary, text, context)
 }
 
 /// The cameras of a rig as COLMAP describes them, its `rig_config.json`, and what neither can hold.
@@ -387,7 +387,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
         "keyframes": part.keyframe_count(),
         "failures": part.failures(),
     });
-    context.print(&summary, || {
+    let text = || {
         format!(
             "{}: {} of {} points, {} keyframes",
             arguments.out.display(),
@@ -395,8 +395,8 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
             map.point_count(),
             part.keyframe_count()
         )
-    })?;
-    Ok(outcome_of(&part, context))
+    };
+    print_made(&part, &arguments.out, &summary, text, context)
 }
 
 fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcome> {
@@ -416,7 +416,7 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
         "failures": merged.failures(),
         "first_from_second": { "translation_m": [t.x, t.y, t.z], "quaternion_xyzw": [q.i, q.j, q.k, q.w] },
     });
-    context.print(&summary, || {
+    let text = || {
         format!(
             "{}: {} points, {} of them in both maps, median {:.1} cm apart; position of the second map: {:.1} cm (1 σ) in the worst direction",
             arguments.out.display(),
@@ -425,6 +425,6 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
             100.0 * report.median_distance_m,
             100.0 * report.worst_sigma_m
         )
-    })?;
-    Ok(outcome_of(&merged, context))
+    };
+    print_made(&merged, &arguments.out, &summary, text, context)
 }

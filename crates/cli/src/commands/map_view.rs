@@ -8,7 +8,7 @@ use lsfb_geometry::{Se3, Trajectory, Vector2, Vector3};
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::surface::SurfaceConfig;
 use lsfb_recording::read_tum;
-use lsfb_types::{Finding, Judgement, Verdict, median, quantile};
+use lsfb_types::{Finding, Judgement, median, quantile};
 use lsfb_view::{CameraPyramids, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, write_rrd};
 
 use super::map_report::{coverage, track};
@@ -86,7 +86,10 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
         Some((points, finding)) => (points, vec![finding]),
         None => (Vec::new(), Vec::new()),
     };
-    let judgement = Judgement::new(agreement);
+    let mut judgement = map.checks();
+    agreement
+        .into_iter()
+        .for_each(|found| judgement.push(found));
     let keyframes = Trajectory::new(map.keyframes().collect());
     let cameras = pyramids(&map);
     let images: usize = cameras.iter().map(|camera| camera.strips_m.len()).sum();
@@ -131,10 +134,7 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
             .trim_end()
             .to_owned()
     })?;
-    Ok(match map.failures().is_empty() {
-        true => Outcome::of(judgement.verdict()),
-        false => super::map_folder::outcome_of(&map, context),
-    })
+    Ok(Outcome::of(judgement.verdict()))
 }
 
 /// By how well each point is known, from that of half of the map to that of 95 %.
@@ -255,7 +255,7 @@ fn to_html(
     map: &HdMap,
     keyframes: Trajectory,
     surface: &[Vector3<f64>],
-    of_surface: &Judgement,
+    judgement: &Judgement,
 ) -> String {
     let quality: Vec<_> = (0..map.point_count() as u32)
         .filter_map(|p| map.quality(p))
@@ -266,12 +266,7 @@ fn to_html(
     let error_px = median(errors.collect()).unwrap_or(f64::INFINITY);
     let count = |name: &str, value: usize| Figure::new(name, value as f64, "");
     let mut findings = vec![coverage(map)];
-    findings.extend(of_surface.findings().iter().cloned());
-    findings.extend(
-        map.failures()
-            .iter()
-            .map(|failure| Finding::new("failed-map", Verdict::Fail, "the map", failure.clone())),
-    );
+    findings.extend(judgement.findings().iter().cloned());
     Report {
         title: format!("Map {name}"),
         figures: vec![

@@ -8,7 +8,7 @@ use lsfb_eval::survey::{
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
 use lsfb_geometry::StampedPose;
-use lsfb_types::{Finding, Judgement, Limit, Verdict};
+use lsfb_types::{Bounds, Finding, Judgement, OutOfBounds, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -125,9 +125,6 @@ fn run_solve(arguments: &SolveArguments, context: &Context) -> anyhow::Result<Ou
     Ok(Outcome::of(judgement.verdict()))
 }
 
-/// A map whose distances are further off is none of centimetres.
-const LARGEST_M: f64 = 0.05;
-
 #[derive(Serialize)]
 struct Checked {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -138,23 +135,25 @@ struct Checked {
 
 fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
     let survey = read_survey(&arguments.survey)?;
-    let positive = [
-        arguments.rest_spread_m,
-        arguments.rest_secs,
-        arguments.reach_m,
-    ];
-    anyhow::ensure!(
-        positive.iter().all(|v| *v > 0.0 && v.is_finite()),
-        "--rest-spread-m, --rest-secs and --reach-m must be above zero"
-    );
+    let config = RestConfig {
+        spread_m: arguments.rest_spread_m,
+        least_secs: arguments.rest_secs,
+        ..RestConfig::default()
+    };
+    config.check_bounds("rests")?;
+    let reach_m = arguments.reach_m;
+    if !Bounds::POSITIVE.hold(reach_m) {
+        return Err(OutOfBounds::new("", "reach_m", &reach_m, &Bounds::POSITIVE).into());
+    }
     let mut findings = Vec::new();
     let mut solved = None;
     let at_marks = arguments.trajectory.as_ref().map(|path| {
         let file = read_trajectory(path, &ReadOptions::default())?;
         let solution = solve_survey(&survey)?;
         findings.extend(file.findings.iter().chain(&solution.findings).cloned());
-        let rests = rests(&file.poses, arguments, context, &mut findings)?;
-        let checked = check_marks(&survey, &solution, &file.poses, &rests, arguments.reach_m);
+        let recording = arguments.recording.as_deref();
+        let rests = rests(&file.poses, &config, recording, context, &mut findings)?;
+        let checked = check_marks(&survey, &solution, &file.poses, &rests, reach_m);
         solved = Some(solution);
         super::about(path, checked)
     });
@@ -163,7 +162,7 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         distances: distances(&survey, arguments)?,
     };
     findings.extend(checked.at_marks.iter().flat_map(MarkReport::findings));
-    findings.extend(checked.distances.as_ref().map(largest));
+    findings.extend(checked.distances.as_ref().map(DistanceReport::finding));
     let judgement = Judgement::new(findings);
     let view = SurveyView {
         solution: solved.as_ref(),
@@ -203,27 +202,23 @@ fn draw(
 
 fn rests(
     poses: &[StampedPose],
-    arguments: &CheckArguments,
+    config: &RestConfig,
+    recording: Option<&Path>,
     context: &Context,
     findings: &mut Vec<Finding>,
 ) -> anyhow::Result<Vec<Rest>> {
-    let config = RestConfig {
-        spread_m: arguments.rest_spread_m,
-        least_secs: arguments.rest_secs,
-        ..RestConfig::default()
-    };
-    let Some(path) = &arguments.recording else {
+    let Some(path) = recording else {
         let what =
             "rests are found by the poses alone: a trajectory that froze looks like a rest as well";
         findings.push(
             Finding::new("rests", Verdict::Unknown, "trajectory", what)
                 .remedy("give the recording (--recording)"),
         );
-        return Ok(find_rests(poses, &config));
+        return Ok(find_rests(poses, config));
     };
     let mut samples = super::inertial::inertial_samples(path, context, findings)?;
     samples.sort_by_key(|s| s.time);
-    let found = super::about(path, inertial_rests(poses, &samples, &config))?;
+    let found = super::about(path, inertial_rests(poses, &samples, config))?;
     findings.extend(found.findings);
     Ok(found.rests)
 }
@@ -238,20 +233,6 @@ fn distances(
         Err(lsfb_eval::Error::NoMapDistance) if arguments.trajectory.is_some() => Ok(None),
         Err(error) => Err(error.into()),
     }
-}
-
-fn largest(report: &DistanceReport) -> Finding {
-    let verdict = Verdict::Warn.unless(report.error_m.max <= LARGEST_M);
-    let what = format!(
-        "{} distances off by {:.1} mm on average, at most {:.1} mm",
-        report.distances.len(),
-        1000.0 * report.error_m.mean,
-        1000.0 * report.error_m.max
-    );
-    Finding::new("distances", verdict, "map", what)
-        .value(report.error_m.max, "m")
-        .limit(Limit::AtMost(LARGEST_M))
-        .remedy("measure the worst distance again; if it is right, the map is bent there")
 }
 
 fn solution_text(solution: &SurveySolution) -> String {

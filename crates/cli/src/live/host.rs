@@ -6,11 +6,6 @@ use lsfb_capture::health::{self, StorageHealth};
 use lsfb_operator::{BatteryState, Level, StorageState};
 use nix::sys::statvfs::statvfs;
 
-/// Free space that is little before a recording begins: a minute of four cameras.
-const LITTLE_BYTES: u64 = 10_000_000_000;
-const LOW_PERCENT: f64 = 25.0;
-const VERY_LOW_PERCENT: f64 = 10.0;
-
 /// The recorder's word for how bad something is as the page's colour.
 pub fn shown(level: health::Level) -> Level {
     match level {
@@ -35,15 +30,7 @@ pub fn recording_storage(health: &StorageHealth) -> StorageState {
 pub fn idle_storage(folder: &Path) -> Option<StorageState> {
     let disk = statvfs(folder).ok()?;
     let free_bytes = disk.blocks_available() * disk.fragment_size();
-    Some(StorageState {
-        level: if free_bytes < LITTLE_BYTES {
-            Level::Warning
-        } else {
-            Level::Good
-        },
-        free_bytes,
-        ..StorageState::default()
-    })
+    Some(StorageState::idle(free_bytes))
 }
 
 /// Where the kernel tells of batteries.
@@ -69,17 +56,7 @@ pub fn battery(supplies: &Path) -> Option<BatteryState> {
         }
         let percent: f64 = read("capacity")?.parse().ok()?;
         let charging = read("status").is_some_and(|s| s == "Charging" || s == "Full");
-        let level = match percent {
-            _ if charging => Level::Good,
-            p if p < VERY_LOW_PERCENT => Level::Bad,
-            p if p < LOW_PERCENT => Level::Warning,
-            _ => Level::Good,
-        };
-        Some(BatteryState {
-            level,
-            percent,
-            charging,
-        })
+        Some(BatteryState::new(percent, charging))
     })
 }
 

@@ -14,10 +14,6 @@ use super::host;
 const RATE_WINDOW: Duration = Duration::from_secs(2);
 /// Time over which a clock's smallest delay is looked for.
 const CLOCK_WINDOW: Duration = Duration::from_secs(4);
-/// Transport delays differ by less.
-const SYNC_GOOD_MS: f64 = 150.0;
-/// More than any transport: a clock is wrong.
-const SYNC_BAD_MS: f64 = 500.0;
 
 /// All devices of a recording.
 #[derive(Debug)]
@@ -130,7 +126,7 @@ impl Streams {
         self.streams.iter().map(|s| s.state.clone()).collect()
     }
 
-    /// How the clocks agree: a sample's delay is its transport's, which is short, and its clock's error.
+    /// How the clocks agree.
     pub fn sync(&mut self, now: Instant) -> SyncState {
         let mut delays_ms: Vec<(f64, &str)> = Vec::new();
         for (name, delays) in &mut self.clocks {
@@ -143,32 +139,7 @@ impl Streams {
             let smallest = delays.iter().map(|(_, delay)| *delay).min();
             delays_ms.extend(smallest.map(|ns| (ns as f64 * 1e-6, name.as_str())));
         }
-        delays_ms.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (Some(first), Some(last)) = (delays_ms.first(), delays_ms.last()) else {
-            return SyncState::default();
-        };
-        if delays_ms.len() < 2 {
-            return SyncState::default();
-        }
-        let spread_ms = last.0 - first.0;
-        let level = match spread_ms {
-            s if s < SYNC_GOOD_MS => Level::Good,
-            s if s < SYNC_BAD_MS => Level::Warning,
-            _ => Level::Bad,
-        };
-        let problem = if level == Level::Good {
-            String::new()
-        } else {
-            format!(
-                "clocks of {} and {} differ by {spread_ms:.0} ms",
-                first.1, last.1
-            )
-        };
-        SyncState {
-            level,
-            spread_ms: Some(spread_ms),
-            problem,
-        }
+        SyncState::of_delays(delays_ms)
     }
 }
 

@@ -1,8 +1,8 @@
 //! `dataset.toml`: what a dataset holds.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
+use lsfb_types::{Bounds, Names, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 use super::folder::DatasetFolder;
@@ -71,6 +71,26 @@ pub struct QueryEntry {
     pub description: String,
 }
 
+lsfb_types::bounds! {
+    Description {
+        format: any,
+        title: any,
+        rate_hz: number(Bounds::POSITIVE),
+        scale_percent: any,
+        truth_sums_sha256: any,
+        environments as "environment": any,
+        maps as "map": any,
+        queries as "query": any,
+    }
+    also is_named
+}
+
+/// Names become folders.
+const NAMES: Names = Names {
+    holds: |c| c.is_ascii_alphanumeric() || "-_.+".contains(c),
+    letters: "letters, digits, - _ . and +",
+};
+
 impl Description {
     /// One that holds nothing yet.
     pub fn new(title: &str, rate_hz: f64, scale_percent: f64) -> Self {
@@ -132,36 +152,28 @@ impl Description {
                 self.format
             ));
         }
-        if !(self.rate_hz > 0.0 && self.rate_hz.is_finite()) {
-            return Err(format!("rate_hz = {} must be above zero", self.rate_hz));
-        }
+        self.check_bounds("").map_err(|e| e.to_string())
+    }
+
+    /// Names are there once, and those of environments are names of one.
+    fn is_named(&self, _section: &str) -> Result<(), OutOfBounds> {
         let environments = self.environments.iter().map(|e| e.name.as_str());
-        named_once("environment", environments)?;
-        named_once("query", self.queries.iter().map(|q| q.name.as_str()))?;
-        named_once("map", self.maps.iter().map(|m| m.environment.as_str()))?;
-        let of_queries = self.queries.iter().map(|q| &q.environment);
-        for name in of_queries.chain(self.maps.iter().map(|m| &m.environment)) {
+        NAMES.check(environments.map(|name| ("environment.name", name)))?;
+        NAMES.check(self.queries.iter().map(|q| ("query.name", &*q.name)))?;
+        NAMES.check(
+            self.maps
+                .iter()
+                .map(|m| ("map.environment", &*m.environment)),
+        )?;
+        let of_queries = self.queries.iter();
+        let of_queries = of_queries.map(|q| ("query", &q.environment));
+        let of_maps = self.maps.iter().map(|m| ("map", &m.environment));
+        for (section, name) in of_queries.chain(of_maps) {
             if self.environment(name).is_none() {
-                return Err(format!("no [[environment]] is called '{name}'"));
+                let bounds = "the name of an [[environment]]";
+                return Err(OutOfBounds::new(section, "environment", name, &bounds));
             }
         }
         Ok(())
     }
-}
-
-/// Names become folders: each is plain, and there once.
-fn named_once<'a>(kind: &str, names: impl Iterator<Item = &'a str>) -> Result<(), String> {
-    let mut seen = BTreeSet::new();
-    for name in names {
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.+".contains(c);
-        if name.is_empty() || name.starts_with('.') || !name.chars().all(is_plain) {
-            return Err(format!(
-                "{kind} '{name}' is not a valid name: use letters, digits, - _ . and +"
-            ));
-        }
-        if !seen.insert(name) {
-            return Err(format!("{kind} '{name}' occurs twice"));
-        }
-    }
-    Ok(())
 }

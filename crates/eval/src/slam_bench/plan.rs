@@ -1,8 +1,8 @@
 //! What is run on what: a TOML file.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use lsfb_types::{Bounds, Names, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 use super::command;
@@ -154,51 +154,51 @@ pub fn read_plan(path: &Path) -> Result<Plan, Error> {
     Ok(plan)
 }
 
+lsfb_types::bounds! {
+    Plan {
+        title: any,
+        runs: number(Bounds::Within(1.0, 99.0)),
+        parallel: number(Bounds::Within(1.0, 256.0)),
+        time_limit_secs: number(Bounds::POSITIVE),
+        memory_limit_mb: number(Bounds::AT_LEAST_ONE),
+        least_covered: number(Bounds::Within(0.0, 1.0)),
+        max_difference_secs: number(Bounds::POSITIVE),
+        sequences as "sequence": sections,
+        systems as "system": any,
+    }
+    also is_named
+}
+
+lsfb_types::bounds! {
+    Sequence {
+        name: any,
+        input: any,
+        truth: any,
+        longer_side_m: number(Bounds::POSITIVE),
+    }
+}
+
+/// Names become folders.
+const NAMES: Names = Names {
+    holds: |c| c.is_alphanumeric() || "-_.+ ".contains(c),
+    letters: "letters, digits, - _ . + and spaces",
+};
+
 impl Plan {
     fn check(&self) -> Result<(), String> {
-        let positive = |name: &str, value: f64| match value > 0.0 && value.is_finite() {
-            true => Ok(()),
-            false => Err(format!("{name} = {value} must be above zero")),
-        };
         if self.sequences.is_empty() || self.systems.is_empty() {
             return Err("needs at least one [[sequence]] and one [[system]]".to_owned());
         }
-        if !(1..=99).contains(&self.runs) || !(1..=256).contains(&self.parallel) {
-            return Err("runs must be 1 to 99, parallel 1 to 256".to_owned());
-        }
-        if !(0.0..=1.0).contains(&self.least_covered) {
-            return Err(format!(
-                "least_covered = {} must be 0 to 1",
-                self.least_covered
-            ));
-        }
-        positive("time_limit_secs", self.time_limit_secs)?;
-        positive("max_difference_secs", self.max_difference_secs)?;
-        positive("memory_limit_mb", self.memory_limit_mb as f64)?;
-        let names = self
-            .sequences
-            .iter()
-            .map(|s| &s.name)
-            .chain(self.systems.iter().map(|s| &s.name));
-        let mut seen = BTreeSet::new();
-        for name in names {
-            // Names become folders.
-            let is_plain = |c: char| c.is_alphanumeric() || "-_.+ ".contains(c);
-            if name.is_empty() || name.starts_with('.') || !name.chars().all(is_plain) {
-                return Err(format!(
-                    "'{name}' is not a valid name: use letters, digits, - _ . + and spaces"
-                ));
-            }
-            if !seen.insert(name) {
-                return Err(format!("'{name}' occurs twice"));
-            }
-        }
-        for sequence in &self.sequences {
-            positive("longer_side_m", sequence.longer_side_m)?;
-        }
+        self.check_bounds("").map_err(|e| e.to_string())?;
         for system in &self.systems {
             command::words(&system.command).map_err(|what| format!("{}: {what}", system.name))?;
         }
         Ok(())
+    }
+
+    fn is_named(&self, _section: &str) -> Result<(), OutOfBounds> {
+        let sequences = self.sequences.iter().map(|s| ("sequence.name", &*s.name));
+        let systems = self.systems.iter().map(|s| ("system.name", &*s.name));
+        NAMES.check(sequences.chain(systems))
     }
 }

@@ -1,9 +1,13 @@
 //! Measured distances against those between points of a map (Table II of the paper).
 
+use lsfb_types::{Finding, Limit, Verdict};
 use serde::Serialize;
 
 use super::file::{Survey, Tape};
 use crate::{Error, Statistics};
+
+/// A map whose distances are further off is none of centimetres, metres.
+pub(super) const LARGEST_M: f64 = 0.05;
 
 /// One measured distance, and what the map says.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -25,6 +29,23 @@ pub struct DistanceReport {
     pub distances: Vec<DistanceError>,
     /// Of their magnitudes, metres: the mean hides the largest.
     pub error_m: Statistics,
+}
+
+impl DistanceReport {
+    /// Whether the map is one of centimetres.
+    pub fn finding(&self) -> Finding {
+        let verdict = Verdict::Warn.unless(self.error_m.max <= LARGEST_M);
+        let what = format!(
+            "{} distances off by {:.1} mm on average, at most {:.1} mm",
+            self.distances.len(),
+            1000.0 * self.error_m.mean,
+            1000.0 * self.error_m.max
+        );
+        Finding::new("distances", verdict, "map", what)
+            .value(self.error_m.max, "m")
+            .limit(Limit::AtMost(LARGEST_M))
+            .remedy("measure the worst distance again; if it is right, the map is bent there")
+    }
 }
 
 /// Compares the distances whose both ends are points of the map.
@@ -86,6 +107,7 @@ mod tests {
         assert_eq!(format!("{:.2}", 100.0 * report.error_m.mean), "6.61");
         assert_eq!(format!("{:.2}", 100.0 * report.error_m.max), "19.89");
         assert!(report.distances.iter().all(|d| d.error_m < 0.0));
+        assert_eq!(report.finding().verdict, Verdict::Warn);
         survey.points.clear();
         assert!(matches!(
             compare_distances(&survey),

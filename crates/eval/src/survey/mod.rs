@@ -19,8 +19,10 @@ mod distances;
 mod file;
 mod inertial_rests;
 mod initial;
+mod mark_distances;
 mod network;
 mod observation;
+mod own_trajectory;
 mod page;
 mod rests;
 mod snooping;
@@ -30,7 +32,11 @@ pub use check::{FarMark, MarkError, MarkReport, check_marks};
 pub use distances::{DistanceError, DistanceReport, compare_distances};
 pub use file::{Survey, Tape, TapeKind, read_survey};
 pub use inertial_rests::{InertialRests, inertial_rests};
+pub use mark_distances::{
+    Judging, MarkDistance, MeasuredDistance, judge_mark, judge_mark_distances,
+};
 pub use network::solve_survey;
+pub use own_trajectory::expect_own_trajectory;
 pub use page::SurveyView;
 pub use rests::{Rest, RestConfig, find_rests};
 pub use solution::{Mark, ObservationReport, SurveySolution, TermRms};

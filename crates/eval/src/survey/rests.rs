@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use lsfb_geometry::{StampedPose, Vector3, so3};
-use lsfb_types::Timestamp;
+use lsfb_types::{Bounds, Timestamp};
 
 /// What a rest is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +23,14 @@ impl Default for RestConfig {
             turn_deg: 1.0,
             least_secs: 1.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    RestConfig {
+        spread_m: number(Bounds::POSITIVE),
+        turn_deg: number(Bounds::POSITIVE),
+        least_secs: number(Bounds::POSITIVE),
     }
 }
 

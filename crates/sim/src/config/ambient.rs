@@ -270,11 +270,11 @@ lsfb_types::bounds! {
         pulse: any,
         sentence: any,
     }
+    also has_noise
 }
 
 impl GnssConfig {
-    pub(crate) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        self.check_bounds(section)?;
+    fn has_noise(&self, section: &str) -> Result<(), OutOfBounds> {
         if self.atmosphere_m + self.noise_m > 0.0 {
             return Ok(());
         }

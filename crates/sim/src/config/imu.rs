@@ -1,7 +1,7 @@
 //! What can be set about an IMU.
 
 use lsfb_drivers::ImuFamily;
-use lsfb_types::{Bounds, OutOfBounds};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 /// What the backpack's inertial unit speaks: the families that are simulated, the others are played from recordings alone.
@@ -84,7 +84,7 @@ impl Default for ImuConfig {
 
 lsfb_types::bounds! {
     ImuConfig {
-        rate_hz: number(Bounds::Within(1.0, 1e6)),
+        rate_hz: number(Bounds::DivisorOf(1e6)),
         gyro_noise_density: number(Bounds::NOT_NEGATIVE),
         accel_noise_density: number(Bounds::NOT_NEGATIVE),
         gyro_bias_walk: number(Bounds::NOT_NEGATIVE),
@@ -97,15 +97,5 @@ lsfb_types::bounds! {
         misalignment_rad: number(Bounds::NOT_NEGATIVE),
         gyro_range_rad_s: number(Bounds::POSITIVE),
         accel_range_m_s2: number(Bounds::POSITIVE),
-    }
-}
-
-impl ImuConfig {
-    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        if 1_000_000_u32.is_multiple_of(self.rate_hz) {
-            return Ok(());
-        }
-        let bounds = "a divisor of 1000000";
-        Err(OutOfBounds::new(section, "rate_hz", &self.rate_hz, &bounds))
     }
 }

@@ -64,7 +64,7 @@ lsfb_types::bounds! {
         returns: any,
         divergence_rad: each(Bounds::Within(0.0, 0.02)),
         separation_m: number(Bounds::NOT_NEGATIVE),
-        rpm: number(Bounds::Within(300.0, 1200.0)),
+        rpm: number(Bounds::MultipleOf(60.0, 300.0, 1200.0)),
         range_noise_m: number(Bounds::NOT_NEGATIVE),
         min_range_m: number(Bounds::NOT_NEGATIVE),
         max_range_m: number(Bounds::POSITIVE),
@@ -73,20 +73,17 @@ lsfb_types::bounds! {
         weakest_reflectance: number(Bounds::NOT_NEGATIVE),
         weakest_range_m: number(Bounds::NOT_NEGATIVE),
     }
+    also is_simulated
 }
 
 impl LidarConfig {
-    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        if !SIMULATED_LIDARS.contains(&self.model) {
-            let bounds = SIMULATED_LIDARS.map(Model::key).join(" or ");
-            let model = self.model.key();
-            return Err(OutOfBounds::new(section, "model", &model, &bounds));
+    fn is_simulated(&self, section: &str) -> Result<(), OutOfBounds> {
+        if SIMULATED_LIDARS.contains(&self.model) {
+            return Ok(());
         }
-        if !self.rpm.is_multiple_of(60) {
-            let bounds = "a multiple of 60";
-            return Err(OutOfBounds::new(section, "rpm", &self.rpm, &bounds));
-        }
-        Ok(())
+        let bounds = SIMULATED_LIDARS.map(Model::key).join(" or ");
+        let model = self.model.key();
+        Err(OutOfBounds::new(section, "model", &model, &bounds))
     }
 }
 
@@ -101,7 +98,7 @@ mod tests {
             let config: LidarConfig = serde_json::from_value(text).expect("the name of a model");
             assert_eq!(config.model, model);
             assert_eq!(
-                config.check("lidar").is_ok(),
+                config.check_bounds("lidar").is_ok(),
                 SIMULATED_LIDARS.contains(&model)
             );
         }
@@ -111,7 +108,7 @@ mod tests {
         };
         assert_eq!(
             config
-                .check("lidar")
+                .check_bounds("lidar")
                 .expect_err("not simulated")
                 .to_string(),
             "setting lidar.model is hdl-32e: it must be vlp-32c or vlp-16"

@@ -362,23 +362,26 @@ impl SimConfig {
 
     /// Refuses what cannot be simulated.
     pub fn check(&self) -> Result<(), Error> {
-        self.check_bounds("")?;
-        self.clocks.check("clocks")?;
-        self.gnss.check("gnss")?;
-        self.scan.check("scan", self.place)?;
-        self.glasses.check("glasses", self.place)?;
-        self.scan_cameras.check("scan_cameras")?;
-        self.glasses_cameras.check("glasses_cameras")?;
-        self.scan_imu.check("scan_imu")?;
-        self.glasses_imu.check("glasses_imu")?;
-        self.lidar.check("lidar")?;
+        Ok(self.check_bounds("")?)
+    }
+
+    /// What a place has and what it has not.
+    fn is_of_its_place(&self, _section: &str) -> Result<(), OutOfBounds> {
+        // The demo's place has no route that could say how long a walk takes.
+        for (section, walk) in [("scan", &self.scan), ("glasses", &self.glasses)] {
+            if self.place == Place::Demo && walk.duration_s == 0.0 {
+                let bounds = "0.1 to 3600 in the demo's place";
+                let duration_s = &walk.duration_s;
+                return Err(OutOfBounds::new(section, "duration_s", duration_s, &bounds));
+            }
+        }
         if !self.look.is_plain() && self.place == Place::Imported {
             let bounds = "plain in your own scenes, which define their own look";
-            return Err(OutOfBounds::new("", "look", &"detailed", &bounds).into());
+            return Err(OutOfBounds::new("", "look", &"detailed", &bounds));
         }
         if self.night && !self.place.has_nights() {
             let bounds = "false in the demo, in the calibration place and in your own scenes";
-            return Err(OutOfBounds::new("", "night", &true, &bounds).into());
+            return Err(OutOfBounds::new("", "night", &true, &bounds));
         }
         if self.fire_door && !self.place.has_fire_doors() {
             let names = Place::ENVIRONMENTS.into_iter();
@@ -391,7 +394,7 @@ impl SimConfig {
                 self.place.name(),
                 names.join(", ")
             );
-            return Err(OutOfBounds::new("", "fire_door", &true, &bounds).into());
+            return Err(OutOfBounds::new("", "fire_door", &true, &bounds));
         }
         Ok(())
     }
@@ -431,6 +434,7 @@ lsfb_types::bounds! {
         magnetic: section,
         barometer: section,
     }
+    also is_of_its_place
 }
 
 lsfb_types::bounds! {
@@ -446,7 +450,7 @@ lsfb_types::bounds! {
 
 lsfb_types::bounds! {
     CameraConfig {
-        width: number(Bounds::Within(16.0, 4096.0)),
+        width: number(Bounds::MultipleOf(8.0, 16.0, 4096.0)),
         height: number(Bounds::Within(8.0, 4096.0)),
         focal_per_width: number(Bounds::Within(0.3, 5.0)),
         rate_hz: number(Bounds::Within(1.0, 240.0)),
@@ -461,39 +465,16 @@ lsfb_types::bounds! {
         shot_noise: number(Bounds::NOT_NEGATIVE),
         vignetting: number(Bounds::Within(0.0, 1.0)),
     }
-}
-
-impl WalkConfig {
-    /// The demo's place has no route that could say how long it takes.
-    fn check(&self, section: &str, place: Place) -> Result<(), OutOfBounds> {
-        if self.duration_s > 0.0 || place != Place::Demo {
-            return Ok(());
-        }
-        let bounds = "0.1 to 3600 in the demo's place";
-        Err(OutOfBounds::new(
-            section,
-            "duration_s",
-            &self.duration_s,
-            &bounds,
-        ))
-    }
+    also is_read_in_time
 }
 
 impl CameraConfig {
-    fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        if !self.width.is_multiple_of(8) {
-            let bounds = "a multiple of 8";
-            return Err(OutOfBounds::new(section, "width", &self.width, &bounds));
+    fn is_read_in_time(&self, section: &str) -> Result<(), OutOfBounds> {
+        let readout_ns = &self.readout_ns;
+        if *readout_ns <= 1_000_000_000 / self.rate_hz {
+            return Ok(());
         }
-        if self.readout_ns > 1_000_000_000 / self.rate_hz {
-            let bounds = "no longer than the period of the images";
-            return Err(OutOfBounds::new(
-                section,
-                "readout_ns",
-                &self.readout_ns,
-                &bounds,
-            ));
-        }
-        Ok(())
+        let bounds = "no longer than the period of the images";
+        Err(OutOfBounds::new(section, "readout_ns", readout_ns, &bounds))
     }
 }

@@ -45,10 +45,11 @@ lsfb_types::bounds! {
         stall_s: number(Bounds::Within(0.0, 60.0)),
         stall_every_s: number(Bounds::Within(0.0, 1e6)),
     }
+    also stalls_end
 }
 
 impl LinkConfig {
-    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+    fn stalls_end(&self, section: &str) -> Result<(), OutOfBounds> {
         if self.stall_every_s == 0.0 || self.stall_every_s > 2.0 * self.stall_s {
             return Ok(());
         }

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use lsfb_types::{Bounds, OutOfBounds, Timestamp, setting_name};
+use lsfb_types::{Bounds, Timestamp};
 
 use crate::noise::{hash, unit};
 pub use link::{Link, LinkConfig};
@@ -121,21 +121,6 @@ impl ClocksConfig {
     /// Whether every device keeps UTC and reaches its host at once.
     pub fn is_ideal(&self) -> bool {
         *self == Self::default()
-    }
-
-    pub(crate) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
-        self.check_bounds(section)?;
-        for (name, clock) in [
-            ("lidar", &self.lidar),
-            ("front_cameras", &self.front_cameras),
-            ("rear_cameras", &self.rear_cameras),
-            ("scan_imu", &self.scan_imu),
-            ("walker", &self.walker),
-        ] {
-            let link = setting_name(name, "link");
-            clock.link.check(&setting_name(section, &link))?;
-        }
-        Ok(())
     }
 }
 

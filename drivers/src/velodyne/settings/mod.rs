@@ -6,6 +6,8 @@ use std::net::Ipv4Addr;
 use serde_json::{Value, json};
 
 use super::wire::{PpsStatus, Returns};
+use crate::lidar::SensorSettings;
+pub use crate::lidar::{Destination, SettingsError};
 
 /// Slowest and fastest motor, revolutions per minute (VLP-32C 63-9325 p. 41), and the step between.
 const RPM: std::ops::RangeInclusive<u16> = 300..=1200;
@@ -54,17 +56,6 @@ pub struct PhaseLock {
     pub lock: Switch,
     /// Angle at the pulse, 0.01°, below 36 000.
     pub offset_centideg: u16,
-}
-
-/// Where packets go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Destination {
-    /// Host, or 255.255.255.255 for everyone.
-    pub address: Ipv4Addr,
-    /// Port of data packets.
-    pub data_port: u16,
-    /// Port of position packets.
-    pub position_port: u16,
 }
 
 impl Default for Settings {
@@ -123,6 +114,27 @@ const PHASE_LOCK: &str = "/cgi/setting/phaselock";
 const DESTINATION: &str = "/cgi/setting/host";
 
 impl Setting {
+    /// The changes that are asked for, one by one.
+    pub fn of_all(wanted: &SensorSettings) -> Vec<Self> {
+        let field_of_view = wanted
+            .field_of_view_deg
+            .map(|[start_deg, end_deg]| Self::FieldOfView(FieldOfView { start_deg, end_deg }));
+        let phase_lock = wanted.phase_lock_centideg.map(|offset_centideg| {
+            Self::PhaseLock(PhaseLock {
+                lock: Switch::On,
+                offset_centideg,
+            })
+        });
+        let changes = [
+            wanted.rpm.map(Self::Rpm),
+            wanted.returns.map(Self::Returns),
+            field_of_view,
+            phase_lock,
+            wanted.destination.map(Self::Destination),
+        ];
+        changes.into_iter().flatten().collect()
+    }
+
     /// The form that asks for it; an error names a value that the sensor does not have.
     pub fn emit(&self) -> Result<Form, SettingsError> {
         let refused = |field, got: u16| {
@@ -191,16 +203,6 @@ impl fmt::Display for Setting {
             Err(error) => write!(f, "{error}"),
         }
     }
-}
-
-/// A document or a form has a value that the sensor does not have, or lacks one.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field} cannot be `{got}`")]
-pub struct SettingsError {
-    /// The field.
-    pub field: &'static str,
-    /// What is there.
-    pub got: String,
 }
 
 impl Settings {

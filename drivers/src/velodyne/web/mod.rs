@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::settings::{SensorInfo, SensorStatus, Setting, Settings, SettingsError};
 use crate::Error;
+use crate::lidar::Page;
 use crate::transport::http::{HttpRequest, HttpResponse, Method, exchange};
 
 const INFO: &str = "/cgi/info.json";
@@ -14,6 +15,20 @@ const SAVE: &str = "/cgi/save";
 const RESET: &str = "/cgi/reset";
 /// A sensor on its own network answers within milliseconds, but not while its rotor starts.
 const TIMEOUT: Duration = Duration::from_secs(5);
+
+/// How these sensors are set.
+pub const PAGE: Option<Page> = Some(Page {
+    check: |wanted| {
+        let changes = Setting::of_all(wanted).into_iter();
+        changes
+            .map(|change| change.emit())
+            .try_for_each(|form| form.map(|_| ()))
+    },
+    apply: |address, wanted| {
+        let page = SensorPage::at(address);
+        page.apply(&Setting::of_all(wanted)).map(|_| ())
+    },
+});
 
 /// The web page of one sensor (VLP-32C 63-9325, appendix on the interface; factory address 192.168.1.201, port 80).
 #[derive(Clone, Copy, Debug)]

@@ -9,7 +9,7 @@ mod tests;
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix3, Matrix6, RigCamera, Se3, Trajectory, Vector2, Vector3, so3};
-use lsfb_types::{Bounds, Timestamp};
+use lsfb_types::{Bounds, Finding, Timestamp, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::HdMap;
@@ -118,7 +118,50 @@ pub struct PlacedMarks {
     pub click_sigma_px: f64,
 }
 
+impl PlacedMarks {
+    /// Marks without a place, and clicks that say less than they could.
+    pub fn findings(&self) -> Vec<Finding> {
+        let unplaced = self.unplaced.iter().map(|mark| {
+            let what = format!("could not be placed: {}", mark.reason);
+            Finding::new("mark-unplaced", Verdict::Warn, &*mark.name, what)
+                .remedy("click it again, in three images or more, from several sides")
+        });
+        let clicked = self.marks.iter().flat_map(|mark| {
+            let found = [mark.left_out_clicks(), mark.unchecked()];
+            found.into_iter().flatten()
+        });
+        let without_pose = (self.clicks_without_pose > 0).then(|| {
+            let what = format!(
+                "{} clicks are in images without a known pose, or of a camera that the map does not have",
+                self.clicks_without_pose
+            );
+            Finding::new("clicks-without-pose", Verdict::Warn, "marks", what).remedy(
+                "give the trajectory of the map (--trajectory), or click in images of its keyframes",
+            )
+        });
+        unplaced.chain(clicked).chain(without_pose).collect()
+    }
+}
+
 impl PlacedMark {
+    fn left_out_clicks(&self) -> Option<Finding> {
+        let what = format!(
+            "{} of its {} clicks disagree with the others and are not used",
+            self.left_out,
+            self.left_out + self.clicks
+        );
+        let finding = Finding::new("mark-clicks", Verdict::Warn, &*self.name, what)
+            .remedy("check the clicks in those images; if they are right, the map is bent there");
+        (self.left_out > 0).then_some(finding)
+    }
+
+    fn unchecked(&self) -> Option<Finding> {
+        let what = "has only two clicks: a wrong one would not be noticed";
+        let finding = Finding::new("mark-unchecked", Verdict::Warn, &*self.name, what)
+            .remedy("click it in a third image");
+        (!self.is_checked()).then_some(finding)
+    }
+
     /// Standard deviation in the direction in which its place is known worst.
     pub fn worst_sigma_m(&self) -> f64 {
         self.covariance()

@@ -1,5 +1,5 @@
 use lsfb_geometry::{Camera, CameraTiming, Matrix6, Rig, RigCamera};
-use lsfb_types::{Timestamp, no_progress};
+use lsfb_types::{Timestamp, Verdict, no_progress};
 
 use super::*;
 use crate::descriptor_index::IndexConfig;
@@ -156,6 +156,11 @@ fn two_scans_of_one_hall_become_one_map() {
     let (all, index) = (opened.region().expect("points"), IndexConfig::default());
     let part = opened.crop(&all, &index, &no_progress).expect("points");
     assert_eq!(part.failures(), failures);
+    let judged = part.checks();
+    let codes: Vec<&str> = judged.findings().iter().map(|f| &*f.code).collect();
+    assert_eq!(codes, vec!["map-failed"; failures.len()]);
+    assert_eq!(judged.verdict(), Verdict::Fail);
+    assert_eq!(a.checks().verdict(), Verdict::Pass);
 }
 
 /// Naively a map and a crop of it became one in which each observation stood twice, and σ was too small by √2.

@@ -4,7 +4,6 @@ mod drawing;
 mod folder;
 mod frames;
 mod input;
-mod judging;
 mod matches;
 mod page;
 mod unfinished;
@@ -12,7 +11,7 @@ mod unfinished;
 use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::kept_stages::KeptStages;
-use lsfb_pipeline::localization::Localizer;
+use lsfb_pipeline::localization::{Localizer, RIGHT_ANGLE_DEG, RIGHT_DISTANCE_M, Tally};
 use lsfb_types::{Verdict, median};
 use serde::Serialize;
 
@@ -96,9 +95,6 @@ pub struct Arguments {
     out_drawing: Option<PathBuf>,
 }
 
-/// A pose counts as right within these, as in the benchmarks of the field.
-const RIGHT_DISTANCE_M: f64 = 0.10;
-const RIGHT_ANGLE_DEG: f64 = 5.0;
 /// Metres and degrees within which recall is reported besides.
 const RECALL: [(f64, f64); 3] = [(0.10, 1.0), (0.25, 2.0), (1.0, 5.0)];
 /// Inliers beyond which the paper counts an image as localized (Liu et al., section V-A).
@@ -193,7 +189,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     stages.remove()?;
     let summary = summary(found.frames, &input, &localizer);
-    let judgement = judging::judgement(&summary, found.damaged);
+    let tally = Tally {
+        images: summary.images,
+        localized: summary.localized,
+        by_little: summary.by_little,
+        right: summary.right,
+        min_probability: summary.min_probability,
+        damaged: found.damaged,
+    };
+    let judgement = tally.judgement(localizer.map().failed_checks());
     if let Some(path) = &arguments.out_report {
         let page_input = page::PageInput {
             input: &input,

@@ -12,7 +12,7 @@ use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
-use crate::judged::lines;
+use crate::judged::{Judged, lines};
 use crate::outcome::Outcome;
 use codebook::CodebookArguments;
 pub use folder::{ModelFolder, SIFT};
@@ -330,6 +330,12 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// All weights in the folder.
+#[derive(Serialize)]
+struct CheckedAll {
+    weights: Vec<Checked>,
+}
+
 #[derive(Serialize)]
 struct Checked {
     file: PathBuf,
@@ -428,9 +434,13 @@ fn check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcom
     let folder = arguments.folder.path()?;
     let checked: Vec<Checked> = files(&folder)?.into_iter().map(Checked::new).collect();
     let judgement = Judgement::new(checked.iter().map(Checked::finding).collect());
-    context.print(&checked, || match checked.is_empty() {
-        true => format!("{}: no weights were added", folder.display()),
-        false => lines(&judgement),
-    })?;
+    let checked = CheckedAll { weights: checked };
+    context.print(
+        &Judged::new(&judgement, "weights", &checked),
+        || match checked.weights.is_empty() {
+            true => format!("{}: no weights were added", folder.display()),
+            false => lines(&judgement),
+        },
+    )?;
     Ok(Outcome::of(judgement.verdict()))
 }

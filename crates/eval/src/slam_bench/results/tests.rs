@@ -284,16 +284,19 @@ fn plans_that_mean_nothing_are_refused() {
         (format!("run = 3\n{sequence}{good}"), "run"),
         (
             format!("runs = 0\n{sequence}{good}"),
-            "runs must be 1 to 99",
+            "setting runs is 0: it must be 1 to 99",
         ),
-        (format!("{sequence}{sequence}{good}"), "'M0' occurs twice"),
+        (
+            format!("{sequence}{sequence}{good}"),
+            "setting sequence.name is \"M0\": it must be a name that nothing else has",
+        ),
         (
             format!("{sequence}{}", good.replace("'good'", "'../x'")),
-            "'../x' is not a valid name",
+            "setting system.name is \"../x\": it must be a name of letters",
         ),
         (
             format!("{}{good}", sequence.replace("15", "-1")),
-            "longer_side_m",
+            "setting sequence.longer_side_m is -1: it must be more than 0",
         ),
         (
             format!("{sequence}[[system]]\nname = 'q'\ncommand = \"sh 'x\"\n"),

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{bail, ensure};
+use lsfb_eval::ablation::Walk;
 use lsfb_eval::{ReadOptions, TrajectoryFile, read_trajectory};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::Recording;
 
-use super::table::Walk;
 use crate::commands::models::ModelFolder;
 use crate::context::Context;
 use crate::files;

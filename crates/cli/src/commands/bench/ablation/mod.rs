@@ -1,10 +1,10 @@
 //! `lsfb bench ablation`: walks with less and less of their maps, and without loops, judged by ground truths that are given.
 
 mod cases;
-mod table;
 
 use std::path::{Path, PathBuf};
 
+use lsfb_eval::ablation::{ALIGNMENT, Method, QUADRANTS, Run, Runs, Setting, Table};
 use lsfb_eval::{EvalConfig, evaluate};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::descriptor_index::IndexConfig;
@@ -20,10 +20,9 @@ use super::twin::refusal;
 use crate::commands::models::ModelFolder;
 use crate::context::Context;
 use crate::files;
-use crate::judged::printable;
+use crate::judged::{Judged, printable};
 use crate::outcome::Outcome;
 use cases::{Case, Named, cases};
-use table::{ALIGNMENT, Method, QUADRANTS, Run, Runs, Setting, Table, text};
 
 /// Compute walks with less and less of their maps, and without loops, as in the paper's Tables IV and V.
 ///
@@ -124,8 +123,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     files::write(&result, serde_json::to_vec_pretty(&table)?)?;
     provenance.write(&result)?;
-    context.print(&table, || printable(&text(&table)))?;
-    Ok(Outcome::of(table.verdict()))
+    let judgement = table.judgement();
+    let judged = Judged::new(&judgement, "ablation", &table);
+    context.print(&judged, || {
+        let headline = judgement.headline("ablation");
+        printable(&format!("{headline}\n\n{}", table.to_text()))
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }
 
 /// What all runs of a walk share.

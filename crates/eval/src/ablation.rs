@@ -1,11 +1,13 @@
-//! The rows of an ablation: means over what is withheld, or over walks, with their intervals.
+//! Walks with less and less of their maps, and without loops, as in the paper's Tables IV and V: means over what is withheld, or over
+//! walks, with their intervals.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-use lsfb_eval::alignment::AlignmentMode;
-use lsfb_types::{Finding, Verdict};
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
+
+use crate::alignment::AlignmentMode;
 
 /// Parts that a map is cut into.
 pub const QUADRANTS: usize = 4;
@@ -39,10 +41,13 @@ pub struct Run {
 /// How a trajectory came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Method {
+    /// Eq. 5, in the map.
     #[serde(rename = "ground truth")]
     GroundTruth,
+    /// Images in the map, one by one.
     #[serde(rename = "single images")]
     Localization,
+    /// No map.
     #[serde(rename = "motion without a map")]
     Motion,
 }
@@ -50,7 +55,9 @@ pub enum Method {
 /// What a row is of.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Setting {
+    /// How trajectories came about.
     pub method: Method,
+    /// Share of the map that was left, percent.
     pub map_percent: u32,
     /// That of the map; absent without one.
     pub feature: Option<String>,
@@ -75,6 +82,7 @@ impl Setting {
 pub struct Runs(Vec<(Setting, Vec<Run>)>);
 
 impl Runs {
+    /// Adds a run to those of its setting.
     pub fn add(&mut self, setting: Setting, run: Run) {
         match self.0.iter_mut().find(|(known, _)| *known == setting) {
             Some((_, runs)) => runs.push(run),
@@ -82,6 +90,7 @@ impl Runs {
         }
     }
 
+    /// A row for each setting, in the order in which they came.
     pub fn rows(self) -> Vec<Row> {
         let rows = self.0.into_iter();
         rows.map(|(setting, runs)| summary(setting, runs)).collect()
@@ -91,12 +100,16 @@ impl Runs {
 /// All runs of one setting.
 #[derive(Serialize)]
 pub struct Row {
+    /// What it is of.
     #[serde(flatten)]
     pub setting: Setting,
+    /// What trajectories were judged after.
     pub alignment: &'static str,
+    /// How many walks the runs are of.
     pub walks: usize,
     /// Runs that gave a trajectory.
     pub given: usize,
+    /// Runs that gave none.
     pub refused: usize,
     /// Of one walk the mean of its runs, of several that of their means.
     pub ate_rms_m: Option<f64>,
@@ -104,36 +117,117 @@ pub struct Row {
     pub ate_rms_interval_m: Option<f64>,
     /// The worst run's.
     pub worst_ate_rms_m: Option<f64>,
+    /// Share of the walks' frames that have a pose, percent.
     pub poses_percent: f64,
     /// The least of any run that gave a trajectory.
     pub judged_percent: Option<f64>,
+    /// All of them.
     pub runs: Vec<Run>,
 }
 
-/// Whose a run is.
+/// Whose a run is: names of files.
 #[derive(Serialize)]
 pub struct Walk {
+    /// The walk.
     pub recording: String,
+    /// Its ground truth.
     pub truth: String,
+    /// The map.
     pub map: String,
+    /// Feature of the map.
     pub feature: String,
 }
 
+/// All walks, and a row for each setting.
 #[derive(Serialize)]
 pub struct Table {
+    /// By their numbers.
     pub walks: Vec<Walk>,
+    /// In the order in which they were asked for.
     pub rows: Vec<Row>,
 }
 
 impl Table {
-    /// Failed where a trajectory does not follow the ground truth that it was held against (another walk's, say), and where no walk was given
-    /// at all.
-    pub fn verdict(&self) -> Verdict {
+    /// What the evaluation of each run found fault with, and whether there was anything to evaluate. Failed where a trajectory does not follow
+    /// the ground truth that it was held against (another walk's, say), and where every walk was refused.
+    pub fn judgement(&self) -> Judgement {
         let runs = || self.rows.iter().flat_map(|row| &row.runs);
-        let mut findings = runs().flat_map(|run| &run.findings);
-        let is_failed = findings.any(|finding| finding.verdict == Verdict::Fail)
-            || runs().all(|run| run.ate_rms_m.is_none());
-        Verdict::Fail.unless(!is_failed)
+        let (all, given) = (
+            runs().count(),
+            runs().filter(|r| r.ate_rms_m.is_some()).count(),
+        );
+        let what = match given {
+            0 => "every walk was refused".to_owned(),
+            given => format!("{given} of {all} trajectories were evaluated"),
+        };
+        let evaluated = Finding::new("evaluated", Verdict::Fail.unless(given > 0), "walks", what)
+            .value(given as f64, "")
+            .limit(Limit::AtLeast(1.0))
+            .remedy("the runs say why: check that each walk shows the place of its map");
+        let of_runs = runs().flat_map(|run| {
+            run.findings.iter().map(|finding| Finding {
+                subject: format!("{}: {}", self.name_of(run), finding.subject),
+                ..finding.clone()
+            })
+        });
+        Judgement::new(std::iter::once(evaluated).chain(of_runs).collect())
+    }
+
+    /// As people tell runs of a setting apart.
+    fn name_of(&self, run: &Run) -> String {
+        let withheld = &run.withheld_quadrants;
+        match self.walks.len() {
+            1 => format!("without {withheld:?}"),
+            _ => format!("walk {}, without {withheld:?}", run.walk),
+        }
+    }
+
+    /// For people.
+    pub fn to_text(&self) -> String {
+        let of = match &self.walks[..] {
+            [one] => format!("{} against {}", one.recording, one.truth),
+            several => format!("{} walks, ± over walks", several.len()),
+        };
+        let labels: Vec<String> = self.rows.iter().map(|row| row.setting.label()).collect();
+        let widest = labels.iter().map(|label| label.chars().count()).max();
+        let width = widest.unwrap_or_default().max(4);
+        let mut text = format!(
+            "{of}, ATE rms in cm after alignment by {}\n{:<width$}  walks  runs  refused      ATE   ± 95 %    worst   judged   frames with a pose\n",
+            ALIGNMENT.label(),
+            " map",
+        );
+        let cm =
+            |value: Option<f64>| value.map_or("–".to_owned(), |m| format!("{:.2}", 100.0 * m));
+        for (row, label) in self.rows.iter().zip(&labels) {
+            // Writing into a string cannot fail.
+            let _ = writeln!(
+                text,
+                "{label:<width$}  {:>5}  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}   {:.1} %",
+                row.walks,
+                row.runs.len(),
+                row.refused,
+                cm(row.ate_rms_m),
+                cm(row.ate_rms_interval_m),
+                cm(row.worst_ate_rms_m),
+                row.judged_percent
+                    .map_or("–".to_owned(), |percent| format!("{percent:.0} %")),
+                row.poses_percent,
+            );
+            for run in &row.runs {
+                let name = self.name_of(run);
+                if let Some(why) = &run.refused {
+                    let _ = writeln!(text, "       {name}: {why}");
+                }
+                for finding in &run.findings {
+                    let _ = writeln!(
+                        text,
+                        "       {name}: {}  {} {}",
+                        finding.verdict, finding.subject, finding.what
+                    );
+                }
+            }
+        }
+        text
     }
 }
 
@@ -189,60 +283,6 @@ fn interval(values: &[f64]) -> Option<f64> {
     let middle = mean(values)?;
     let variance = values.iter().map(|v| (v - middle).powi(2)).sum::<f64>() / freedom as f64;
     Some(student * (variance / values.len() as f64).sqrt())
-}
-
-/// The table for people.
-pub fn text(table: &Table) -> String {
-    let of = match &table.walks[..] {
-        [one] => format!("{} against {}", one.recording, one.truth),
-        several => format!("{} walks, ± over walks", several.len()),
-    };
-    let labels: Vec<String> = table.rows.iter().map(|row| row.setting.label()).collect();
-    let widest = labels.iter().map(|label| label.chars().count()).max();
-    let width = widest.unwrap_or_default().max(4);
-    let mut text = format!(
-        "{of}, ATE rms in cm after alignment by {}\n{:<width$}  walks  runs  refused      ATE   ± 95 %    worst   judged   frames with a pose\n",
-        ALIGNMENT.label(),
-        " map",
-    );
-    let cm = |value: Option<f64>| value.map_or("–".to_owned(), |m| format!("{:.2}", 100.0 * m));
-    for (row, label) in table.rows.iter().zip(&labels) {
-        // Writing into a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{label:<width$}  {:>5}  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}   {:.1} %",
-            row.walks,
-            row.runs.len(),
-            row.refused,
-            cm(row.ate_rms_m),
-            cm(row.ate_rms_interval_m),
-            cm(row.worst_ate_rms_m),
-            row.judged_percent
-                .map_or("–".to_owned(), |percent| format!("{percent:.0} %")),
-            row.poses_percent,
-        );
-        for run in &row.runs {
-            let whose = match table.walks.len() {
-                1 => String::new(),
-                _ => format!("walk {}, ", run.walk),
-            };
-            if let Some(why) = &run.refused {
-                let _ = writeln!(
-                    text,
-                    "       {whose}without {:?}: {why}",
-                    run.withheld_quadrants
-                );
-            }
-            for finding in &run.findings {
-                let _ = writeln!(
-                    text,
-                    "       {whose}without {:?}: {}  {} {}",
-                    run.withheld_quadrants, finding.verdict, finding.subject, finding.what
-                );
-            }
-        }
-    }
-    text
 }
 
 #[cfg(test)]
@@ -312,7 +352,7 @@ mod tests {
                 .collect(),
             rows,
         };
-        let text = text(&table);
+        let text = table.to_text();
         assert!(text.contains(" 75% xfeat"), "{text}");
         assert!(text.contains("walk 3, without [0]: no"), "{text}");
     }
@@ -329,13 +369,13 @@ mod tests {
             };
             let rows = vec![summary(setting, vec![run])];
             let walks = Vec::new();
-            Table { walks, rows }.verdict()
+            Table { walks, rows }.judgement().verdict()
         };
         let found = |verdict| Run {
             findings: vec![Finding::new("follows", verdict, "orientations", "")],
             ..run(1, Some(0.01))
         };
-        assert_eq!(verdict_of(found(Verdict::Warn)), Verdict::Pass);
+        assert_eq!(verdict_of(found(Verdict::Warn)), Verdict::Warn);
         assert_eq!(verdict_of(found(Verdict::Fail)), Verdict::Fail);
         assert_eq!(verdict_of(run(1, None)), Verdict::Fail, "all refused");
     }
