@@ -490,6 +490,23 @@ impl Layout {
         self.row_start[reduced]..self.row_start[reduced + 1]
     }
 
+    /// Rows of the whole system: those of the reduced one, then those of the points.
+    pub fn whole_dimension(&self) -> usize {
+        self.dimension() + POINT * self.points.len()
+    }
+
+    /// Rows of a block in the whole system; none where it is not searched.
+    pub fn whole_rows(&self, block: usize) -> Range<usize> {
+        match self.parts[block] {
+            Part::Reduced(i) => self.rows(i),
+            Part::Point(p) => {
+                let first = self.dimension() + POINT * p;
+                first..first + POINT
+            }
+            Part::Constant => 0..0,
+        }
+    }
+
     /// Pairs of a point.
     pub fn pairs_at(&self, point: usize) -> &[Pair] {
         &self.pairs[self.pairs_of_point[point]..self.pairs_of_point[point + 1]]
