@@ -250,14 +250,7 @@ impl Layout {
                     next += dimension * entry.free();
                     (next - dimension * entry.free()) as u32
                 };
-                self.slots.push(Slot {
-                    value: entry.start,
-                    mask: entry.mask,
-                    block: block.0 as u32,
-                    jacobian,
-                    pair: NO_PAIR,
-                    couplings: [0; 2],
-                });
+                self.slots.push(problem.slot(*block, jacobian));
             }
             // Numbers within a record, and of blocks, are kept short.
             if next.max(self.slots.len()).max(problem.blocks.len()) >= CONSTANT as usize {
