@@ -189,8 +189,7 @@ impl PoseFit {
 }
 
 fn poses_left_out(c: &LidarCameraCalibration) -> Finding {
-    let is_left_out = |p: &&PoseFit| p.verdict() == Verdict::Unknown;
-    let left_out = c.poses.iter().filter(is_left_out).count();
+    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
     let is_good = 4 * left_out <= c.poses.len();
     let what = format!("{left_out} of {} poses were left out", c.poses.len());
     Finding::new("poses", Verdict::Warn.unless(is_good), "poses", what)
