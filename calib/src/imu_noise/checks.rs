@@ -73,10 +73,8 @@ fn gravity_moves(log: &Log) -> Finding {
             "{after_s:.0} s after the start, gravity differs by {moved:.2} m/s² from its mean over the recording: the IMU was turned, or its signs changed"
         ),
     };
-    let verdict = Verdict::Fail.unless(limit.holds(moved));
-    Finding::new("rest", verdict, "accelerometer", what)
-        .value(moved, "m/s²")
-        .limit(limit)
+    Finding::new("rest", Verdict::Fail, "accelerometer", what)
+        .judged(moved, "m/s²", limit)
         .remedy("record again, with the IMU at rest the whole time")
 }
 
@@ -136,13 +134,7 @@ fn gyro_unit(density: f64) -> Finding {
             "noise is implausibly high for a gyroscope: is the unit degrees per second?".to_owned()
         }
     };
-    Finding::new(
-        "gyro-unit",
-        Verdict::Warn.unless(limit.holds(density)),
-        "gyroscope",
-        what,
-    )
-    .value(density, "rad/s/√Hz")
-    .limit(limit)
-    .remedy("give rad/s")
+    Finding::new("gyro-unit", Verdict::Warn, "gyroscope", what)
+        .judged(density, "rad/s/√Hz", limit)
+        .remedy("give rad/s")
 }
