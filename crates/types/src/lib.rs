@@ -19,7 +19,7 @@ mod verdict;
 
 pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
-pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
+pub use progress::{Progress, ProgressFn, SharedProgress, Stopped, no_progress, until};
 pub use ros_packets::RosPackets;
 pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
 pub use stamp_unit::StampUnit;
