@@ -47,8 +47,7 @@ impl Residual for CornerResidual {
         let readout: Vector1<f64> = parameters.get(VIEW);
         let row_share = row_time_s(&values.camera, 1.0, self.pixel.y);
         let motion = self.view.motion(&values, row_share * readout.x)?;
-        let placed = self.view.placed(&values, &motion.target_from_rig());
-        let (pixel, by) = placed.see(&self.point)?;
+        let (pixel, by) = values.see(&motion.rig_from_target(), &self.point)?;
         let weight = self.view.inverse_sigma;
         out.set_residual(&((pixel - self.pixel) * weight));
         let by = Derivatives {
@@ -65,40 +64,19 @@ impl Residual for CornerResidual {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera_imu::bend::Bend;
-    use crate::camera_imu::{Clock, ORDER};
-    use lsfb_geometry::camera::{Lens, MAX_PARAMETERS};
-    use lsfb_geometry::{Se3, Vector6, so3};
+    use crate::camera_imu::timed_view::tests::add_blocks;
+    use lsfb_geometry::camera::Lens;
     use lsfb_solver::{Kernel, Problem, check_residual_jacobian};
-    use nalgebra::SVector;
 
     #[test]
     fn jacobians_match_differences() {
         let mut problem = Problem::new();
-        let mut blocks = Vec::new();
-        for k in 0..ORDER {
-            let turn = Vector3::new(0.02, 0.05, -0.03) * k as f64;
-            blocks.push(problem.add_block(so3::exp(&turn)).id());
-        }
-        for k in 0..ORDER {
-            let place = Vector3::new(0.1, 0.2, -1.0 + 0.01 * k as f64);
-            blocks.push(problem.add_block(place).id());
-        }
-        let pose = Se3::exp(&Vector6::new(0.1, -0.05, 0.02, 0.01, 0.02, 0.03));
-        blocks.push(problem.add_block(pose).id());
-        blocks.push(problem.add_block(Clock::new(0.003, 2e-4)).id());
         let lens = Lens::PinholeRadtan {
             focal_px: [400.0, 401.0],
             principal_px: [320.0, 240.0],
             distortion: [-0.1, 0.02, 1e-3, 2e-3, 0.01],
         };
-        let values: SVector<f64, MAX_PARAMETERS> = lens.parameters().values.into();
-        blocks.push(problem.add_block(values).id());
-        blocks.push(
-            problem
-                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3, 4e-3))
-                .id(),
-        );
+        let mut blocks = add_blocks(&mut problem, &lens);
         blocks.push(problem.add_block(Vector1::new(0.02)).id());
         for (x, y) in [(0.0, 0.0), (0.3, 0.2)] {
             let corner = CornerResidual {

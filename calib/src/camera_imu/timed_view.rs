@@ -3,7 +3,7 @@
 
 use lsfb_geometry::camera::{LensModel, MAX_PARAMETERS};
 use lsfb_geometry::spline::{self, SplinePosition, SplineRotationJacobians, Weights};
-use lsfb_geometry::{Camera, Matrix3, Se3, UnitQuaternion, Vector2, Vector3};
+use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_perception::projection::by_pose_of_inverse;
 use lsfb_solver::{Linearization, Parameters, Shape, Undefined};
 use nalgebra::{RowVector2, SMatrix, SVector};
@@ -50,6 +50,7 @@ pub(super) struct Values {
     clock: Clock,
     pub camera: Camera,
     bend: Bend,
+    centre: Vector3<f64>,
 }
 
 /// The rig on the spline, at one time.
@@ -67,15 +68,6 @@ pub(super) struct Derivatives<const R: usize> {
     pub by_bend: SMatrix<f64, R, BEND>,
 }
 
-/// A view from where the rig is at one time.
-pub(super) struct PlacedView<'a> {
-    view: &'a TimedView,
-    values: &'a Values,
-    rig_from_target: Se3,
-    camera_turn: Matrix3<f64>,
-    board_turn: Matrix3<f64>,
-}
-
 impl TimedView {
     /// Undefined where the lens is none.
     pub fn values(&self, parameters: &Parameters<'_>) -> Result<Values, Undefined> {
@@ -87,6 +79,7 @@ impl TimedView {
             clock: parameters.get(2 * ORDER + 1),
             camera: searched_camera(self.model, self.size, &lens)?,
             bend: parameters.get(2 * ORDER + 3),
+            centre: self.centre,
         })
     }
 
@@ -95,12 +88,12 @@ impl TimedView {
         Weights::at(time_s / self.spacing_s, self.spacing_s)
     }
 
-    /// `target_from_rig` at the view's stamp.
-    pub fn target_from_rig(&self, values: &Values) -> Result<Se3, Undefined> {
+    /// `rig_from_target` at the view's stamp.
+    pub fn rig_from_target(&self, values: &Values) -> Result<Se3, Undefined> {
         let weights = self.weights(&values.clock, 0.0);
         let rotation = spline::rotation(&weights, &values.rotations).ok_or(Undefined)?;
         let position = spline::position(&weights, &values.positions).ok_or(Undefined)?;
-        Ok(Se3::new(rotation.rotation, position.position))
+        Ok(Se3::new(rotation.rotation, position.position).inverse())
     }
 
     /// The same with its derivatives, so long after the stamp.
@@ -114,47 +107,44 @@ impl TimedView {
             position: position.ok_or(Undefined)?,
         })
     }
-
-    pub fn placed<'a>(&'a self, values: &'a Values, target_from_rig: &Se3) -> PlacedView<'a> {
-        let rig_from_target = target_from_rig.inverse();
-        PlacedView {
-            view: self,
-            values,
-            rig_from_target,
-            camera_turn: values.camera_from_rig.rotation_matrix(),
-            board_turn: rig_from_target.rotation_matrix(),
-        }
-    }
 }
 
 impl Motion {
-    pub fn target_from_rig(&self) -> Se3 {
-        Se3::new(self.rotation.at.rotation, self.position.position)
+    pub fn rig_from_target(&self) -> Se3 {
+        Se3::new(self.rotation.at.rotation, self.position.position).inverse()
     }
 }
 
-impl PlacedView<'_> {
-    fn in_rig(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        self.rig_from_target * bent(point, &self.view.centre, &self.values.bend)
+impl Values {
+    fn in_rig(&self, rig_from_target: &Se3, point: &Vector3<f64>) -> Vector3<f64> {
+        *rig_from_target * bent(point, &self.centre, &self.bend)
     }
 
     /// Where a corner of the flat board is seen.
-    pub fn pixel(&self, point: &Vector3<f64>) -> Result<Vector2<f64>, Undefined> {
-        let in_camera = self.values.camera_from_rig * self.in_rig(point);
-        self.values.camera.project(&in_camera).ok_or(Undefined)
+    pub fn pixel(
+        &self,
+        rig_from_target: &Se3,
+        point: &Vector3<f64>,
+    ) -> Result<Vector2<f64>, Undefined> {
+        let in_camera = self.camera_from_rig * self.in_rig(rig_from_target, point);
+        self.camera.project(&in_camera).ok_or(Undefined)
     }
 
     /// The same with derivatives.
-    pub fn see(&self, point: &Vector3<f64>) -> Result<(Vector2<f64>, Derivatives<2>), Undefined> {
-        let in_rig = self.in_rig(point);
-        let in_camera = self.values.camera_from_rig * in_rig;
-        let seen = self.values.camera.project_full(&in_camera);
+    pub fn see(
+        &self,
+        rig_from_target: &Se3,
+        point: &Vector3<f64>,
+    ) -> Result<(Vector2<f64>, Derivatives<2>), Undefined> {
+        let in_rig = self.in_rig(rig_from_target, point);
+        let seen = self.camera.project_full(&(self.camera_from_rig * in_rig));
         let seen = seen.ok_or(Undefined)?;
-        let by_in_rig = seen.pixel_by_point * self.camera_turn;
+        let by_in_rig = seen.pixel_by_point * self.camera_from_rig.rotation_matrix();
+        let by_corner = by_in_rig * rig_from_target.rotation_matrix();
         let derivatives = Derivatives {
             by_rig: by_pose_of_inverse(&by_in_rig, &in_rig),
             by_lens: seen.pixel_by_parameter,
-            by_bend: (by_in_rig * self.board_turn) * bends(&(point - self.view.centre)),
+            by_bend: by_corner * bends(&(point - self.centre)),
         };
         Ok((seen.pixel, derivatives))
     }
@@ -188,5 +178,38 @@ impl<const R: usize> Derivatives<R> {
         out.set_jacobian(2 * ORDER + 2, &self.by_lens);
         out.set_jacobian(2 * ORDER + 3, &self.by_bend);
         by_time
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use lsfb_geometry::camera::Lens;
+    use lsfb_geometry::{Vector6, so3};
+    use lsfb_solver::{BlockId, Problem};
+
+    /// A rig that turns and moves, with all that is searched somewhat off.
+    pub fn add_blocks(problem: &mut Problem, lens: &Lens) -> Vec<BlockId> {
+        let mut blocks = Vec::new();
+        for k in 0..ORDER {
+            let turn = Vector3::new(0.02, 0.05, -0.03) * k as f64;
+            blocks.push(problem.add_block(so3::exp(&turn)).id());
+        }
+        for k in 0..ORDER {
+            let place = Vector3::new(0.1, 0.2, -1.0 + 0.01 * k as f64);
+            blocks.push(problem.add_block(place).id());
+        }
+        let pose = Se3::exp(&Vector6::new(0.1, -0.05, 0.02, 0.01, 0.02, 0.03));
+        blocks.push(problem.add_block(pose).id());
+        blocks.push(problem.add_block(Clock::new(0.003, 2e-4)).id());
+        let parameters = lens.parameters();
+        let values: SVector<f64, MAX_PARAMETERS> = parameters.values.into();
+        let lens = problem.add_block(values);
+        let absent: Vec<usize> = (parameters.count..MAX_PARAMETERS).collect();
+        let held = problem.set_constant_components(lens, &absent);
+        held.expect("in the lens");
+        let bend = Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3, 4e-3);
+        blocks.extend([lens.id(), problem.add_block(bend).id()]);
+        blocks
     }
 }

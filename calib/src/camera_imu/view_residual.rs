@@ -9,12 +9,12 @@
 //! Blocks: [`SHAPES`].
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
-use lsfb_geometry::{Vector2, Vector3};
+use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{DMatrix, DVectorView, SMatrix, SVector};
 
 use super::bend::BEND;
-use super::timed_view::{Derivatives, PlacedView, SHAPES, TimedView};
+use super::timed_view::{Derivatives, SHAPES, TimedView, Values};
 
 /// The pose's components, the lens's and the board's.
 const INNER: usize = 6 + MAX_PARAMETERS + BEND;
@@ -43,15 +43,13 @@ impl Residual for ViewResidual {
         let values = self.view.values(parameters)?;
         if !out.wants_jacobians() {
             // Only the norm counts.
-            let target_from_rig = self.view.target_from_rig(&values)?;
             let mut residual = SVector::<f64, ROWS>::zeros();
-            residual[0] = self.norm(&self.view.placed(&values, &target_from_rig))?;
+            residual[0] = self.norm(&values)?;
             out.set_residual(&residual);
             return Ok(());
         }
         let motion = self.view.motion(&values, 0.0)?;
-        let placed = self.view.placed(&values, &motion.target_from_rig());
-        let (residual, by) = self.reduce(&placed)?;
+        let (residual, by) = self.reduce(&values, &motion.rig_from_target())?;
         out.set_residual(&residual);
         by.write(&self.view, &motion, out);
         Ok(())
@@ -60,10 +58,11 @@ impl Residual for ViewResidual {
 
 impl ViewResidual {
     /// `‖e‖`.
-    fn norm(&self, placed: &PlacedView<'_>) -> Result<f64, Undefined> {
+    fn norm(&self, values: &Values) -> Result<f64, Undefined> {
+        let rig_from_target = self.view.rig_from_target(values)?;
         let mut squares = 0.0;
         for (point, pixel) in &self.corners {
-            squares += (placed.pixel(point)? - pixel).norm_squared();
+            squares += (values.pixel(&rig_from_target, point)? - pixel).norm_squared();
         }
         let weight = self.view.inverse_sigma;
         Ok((squares * weight * weight).sqrt())
@@ -72,12 +71,13 @@ impl ViewResidual {
     /// `[Qᵀ e, ‖e − Q Qᵀ e‖]` and `[U, 0]`, by columns.
     fn reduce(
         &self,
-        placed: &PlacedView<'_>,
+        values: &Values,
+        rig_from_target: &Se3,
     ) -> Result<(SVector<f64, ROWS>, Derivatives<ROWS>), Undefined> {
         // E and, as its last column, e.
         let mut table = DMatrix::<f64>::zeros((2 * self.corners.len()).max(ROWS), INNER + 1);
         for (k, (point, pixel)) in self.corners.iter().enumerate() {
-            let (seen, by) = placed.see(point)?;
+            let (seen, by) = values.see(rig_from_target, point)?;
             let mut rows = table.fixed_rows_mut::<2>(2 * k);
             rows.fixed_columns_mut::<6>(0).copy_from(&by.by_rig);
             rows.fixed_columns_mut::<MAX_PARAMETERS>(6)
@@ -145,11 +145,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera_imu::bend::Bend;
     use crate::camera_imu::corner_residual::CornerResidual;
-    use crate::camera_imu::{Clock, ORDER};
+    use crate::camera_imu::timed_view::tests::add_blocks;
     use lsfb_geometry::camera::Lens;
-    use lsfb_geometry::{Se3, Vector6, so3};
     use lsfb_solver::{
         BlockId, DenseJacobian, Kernel, Problem, SolveConfig, dense_jacobian, solve,
     };
@@ -163,30 +161,7 @@ mod tests {
 
     fn problem() -> (Problem, Vec<BlockId>) {
         let mut problem = Problem::new();
-        let mut blocks = Vec::new();
-        for k in 0..ORDER {
-            let turn = Vector3::new(0.02, 0.05, -0.03) * k as f64;
-            blocks.push(problem.add_block(so3::exp(&turn)).id());
-        }
-        for k in 0..ORDER {
-            let place = Vector3::new(0.1, 0.2, -1.0 + 0.01 * k as f64);
-            blocks.push(problem.add_block(place).id());
-        }
-        let pose = Se3::exp(&Vector6::new(0.1, -0.05, 0.02, 0.01, 0.02, 0.03));
-        blocks.push(problem.add_block(pose).id());
-        blocks.push(problem.add_block(Clock::new(0.003, 2e-4)).id());
-        let lens = SVector::from(LENS.parameters().values);
-        let lens = problem.add_block::<SVector<f64, MAX_PARAMETERS>>(lens);
-        let absent: Vec<usize> = (LENS.parameters().count..MAX_PARAMETERS).collect();
-        problem
-            .set_constant_components(lens, &absent)
-            .expect("in the lens");
-        blocks.push(lens.id());
-        blocks.push(
-            problem
-                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3, 4e-3))
-                .id(),
-        );
+        let blocks = add_blocks(&mut problem, &LENS);
         (problem, blocks)
     }
 
