@@ -21,7 +21,7 @@ pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, SharedProgress, Stopped, no_progress, until};
 pub use ros_packets::RosPackets;
-pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
+pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, STANDARD_GRAVITY_M_S2, Stamped};
 pub use stamp_unit::StampUnit;
 pub use statistics::{median, quantile};
 pub use timestamp::Timestamp;
