@@ -49,11 +49,9 @@ pub(crate) fn outliers(camera: &str, outliers: usize, corners: usize) -> Finding
         true => (Verdict::Warn, Limit::AtMost(100.0 * MOST_OUTLIERS)),
         false => (Verdict::Fail, failed),
     };
-    let verdict = worst.unless(limit.holds(percent));
     let what = format!("{outliers} of {corners} corners are outliers");
-    Finding::new("outliers", verdict, camera, what)
-        .value(percent, "%")
-        .limit(limit)
+    Finding::new("outliers", worst, camera, what)
+        .judged(percent, "%", limit)
         .remedy(
             "check that the board is flat, hold it still, and use enough light for short exposures",
         )
@@ -62,13 +60,11 @@ pub(crate) fn outliers(camera: &str, outliers: usize, corners: usize) -> Finding
 /// How views that were held back from the adjustment are met.
 pub(crate) fn holdout(camera: &str, holdout_px: f64, adjusted_px: f64, most_px: f64) -> Finding {
     let limit = Limit::AtMost(most_px);
-    let verdict = Verdict::Warn.unless(limit.holds(holdout_px));
     let what = format!(
         "reprojection error {holdout_px:.2} px on held-out views, {adjusted_px:.2} px on the others"
     );
-    Finding::new("holdout", verdict, camera, what)
-        .value(holdout_px, "px")
-        .limit(limit)
+    Finding::new("holdout", Verdict::Warn, camera, what)
+        .judged(holdout_px, "px", limit)
         .remedy("record more views")
 }
 

@@ -1,8 +1,8 @@
-//! What residuals of corners share: a lens from a block of parameters, and how points move with poses.
+//! A lens from a block of parameters. How points move with poses is in `lsfb_perception::projection`.
 
 use lsfb_geometry::Camera;
 use lsfb_geometry::camera::{LensModel, MAX_PARAMETERS};
-pub(crate) use lsfb_perception::projection::{moved_by_inverse, moved_by_pose};
+use lsfb_solver::Undefined;
 use nalgebra::SVector;
 
 /// The camera of a model with the first `N` parameters.
@@ -17,5 +17,18 @@ pub(crate) fn lens_camera<const N: usize>(
         width,
         height,
         lens: model.lens(&values),
+    }
+}
+
+/// The same while its parameters are searched: undefined where they make no lens.
+pub(crate) fn searched_camera<const N: usize>(
+    model: LensModel,
+    size: [u32; 2],
+    parameters: &SVector<f64, N>,
+) -> Result<Camera, Undefined> {
+    let camera = lens_camera(model, size, parameters);
+    match camera.lens.problem() {
+        Some(_) => Err(Undefined),
+        None => Ok(camera),
     }
 }

@@ -15,6 +15,7 @@ pub mod features;
 mod frames;
 pub mod ground_truth;
 pub mod hd_map;
+mod imu_reading;
 mod inertial_blocks;
 pub mod kept_stages;
 pub mod lidar_features;

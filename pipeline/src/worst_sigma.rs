@@ -5,13 +5,15 @@ use lsfb_geometry::{Matrix3, Matrix6};
 /// Standard deviations of a pose's rotation and place in the direction in which each is known worst: radians and metres. Infinite where the covariance says nothing.
 /// A mean over three axes would hide one: along a corridor 9 cm are 5 cm of it.
 pub(crate) fn worst_sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {
-    [0, 3].map(|first| {
-        let block: Matrix3<f64> = covariance.fixed_view::<3, 3>(first, first).into();
-        match block.iter().all(|v| v.is_finite()) {
-            true => block.symmetric_eigenvalues().max().max(0.0).sqrt(),
-            false => f64::INFINITY,
-        }
-    })
+    [0, 3].map(|first| worst_sigma(&covariance.fixed_view::<3, 3>(first, first).into()))
+}
+
+/// The same of one place.
+pub(crate) fn worst_sigma(covariance: &Matrix3<f64>) -> f64 {
+    match covariance.iter().all(|v| v.is_finite()) {
+        true => covariance.symmetric_eigenvalues().max().max(0.0).sqrt(),
+        false => f64::INFINITY,
+    }
 }
 
 #[cfg(test)]

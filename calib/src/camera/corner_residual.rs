@@ -5,10 +5,11 @@
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_perception::projection::moved_by_pose;
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::SVector;
 
-use crate::projection::{lens_camera, moved_by_pose};
+use crate::projection::searched_camera;
 
 pub(super) struct CornerResidual<const N: usize> {
     pub model: LensModel,
@@ -42,10 +43,7 @@ impl<const N: usize> Residual for CornerResidual<N> {
         let lens: SVector<f64, N> = parameters.get(0);
         let camera_from_first: Se3 = parameters.get(1);
         let first_from_target: Se3 = parameters.get(2);
-        let camera = lens_camera(self.model, self.size, &lens);
-        if camera.lens.problem().is_some() {
-            return Err(Undefined);
-        }
+        let camera = searched_camera(self.model, self.size, &lens)?;
         let in_first = first_from_target * self.point_in_target;
         let in_camera = camera_from_first * in_first;
         let seen = camera.project_full(&in_camera).ok_or(Undefined)?;

@@ -193,12 +193,11 @@ impl Solved<'_> {
         found.push(findings::outliers(name, outliers, corners));
         if let Some(alone_px) = start.alone_rms_px {
             let limit = Limit::AtMost(WORSE_TOGETHER * alone_px);
-            let verdict = Verdict::Warn.unless(limit.holds(inlier_rms_px));
             let what = format!(
                 "reprojection error {alone_px:.2} px alone, {inlier_rms_px:.2} px together with the other cameras"
             );
-            let together = Finding::new("together", verdict, name, what);
-            found.push(together.value(inlier_rms_px, "px").limit(limit).remedy(
+            let together = Finding::new("together", Verdict::Warn, name, what);
+            found.push(together.judged(inlier_rms_px, "px", limit).remedy(
                 "check that the cameras are triggered together, that their stamps are right, and that no camera is loose",
             ));
         }

@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_datasets::RosBag;
 use lsfb_perception::image;
 use lsfb_recording::{Recording, sort_naturally};
-use lsfb_types::{Image, Progress, ProgressFn, Stopped};
+use lsfb_types::{Image, Progress, ProgressFn, SharedProgress, Stopped};
 use rayon::prelude::*;
 
 use super::CameraViews;
@@ -57,16 +56,12 @@ pub fn views_from_folder(
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
     let files = numbered(folder, prefix)?;
-    let done = AtomicU64::new(0);
+    let done = SharedProgress::new("corners", files.len(), progress);
     let looked: Result<Vec<Looked>, Error> = files
         .par_iter()
         .map(|(instant, file)| {
             let looked = look(*instant, &image::read(file)?, target);
-            progress(Progress {
-                stage: "corners",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: files.len() as u64,
-            })?;
+            done.one_more()?;
             Ok(looked)
         })
         .collect();

@@ -28,3 +28,8 @@ pub(super) fn bends(from_centre: &Vector3<f64>) -> SMatrix<f64, 3, BEND> {
     by[(1, SIZE)] = y;
     by
 }
+
+/// Where a place of the flat board is on the bent one.
+pub(super) fn bent(point: &Vector3<f64>, centre: &Vector3<f64>, bend: &Bend) -> Vector3<f64> {
+    point + bends(&(point - centre)) * bend
+}

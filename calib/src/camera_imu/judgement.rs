@@ -110,11 +110,9 @@ pub(super) fn bend(bend_m: f64, sigma_m: f64) -> Finding {
         "its corners lie up to {mm:.1} ± {:.1} mm out of its plane; the calibration accounts for that",
         sigma_m * 1e3
     );
-    let verdict = Verdict::Warn.unless(limit.holds(mm));
-    Finding::new("board-bend", verdict, "board", what)
-        .value(mm, "mm")
+    Finding::new("board-bend", Verdict::Warn, "board", what)
+        .judged(mm, "mm", limit)
         .sigma(sigma_m * 1e3)
-        .limit(limit)
         .remedy("glue it to a stiff plate: `lsfb calib camera` assumes a flat board")
 }
 
@@ -125,7 +123,6 @@ pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
         .max_by(|a, b| a.deviations().total_cmp(&b.deviations()))?;
     let deviations = farthest.deviations();
     let limit = Limit::AtMost(DEVIATIONS);
-    let verdict = Verdict::Warn.unless(limit.holds(deviations));
     let (factor, unit) = shown_in(&farthest.name);
     let [difference, sigma] = farthest.difference().map(|v| v * factor);
     let apart = format!("{} ± {}", rounded(difference), rounded(sigma));
@@ -134,9 +131,8 @@ pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
         farthest.name,
         with_unit(&apart, unit),
     );
-    let finding = Finding::new("halves", verdict, "recording", what)
-        .value(deviations, "σ")
-        .limit(limit);
+    let finding =
+        Finding::new("halves", Verdict::Warn, "recording", what).judged(deviations, "σ", limit);
     Some(finding.remedy(
         "check that no mount moved and no clock jumped in between, and record again: the standard deviations are too small for this difference",
     ))
@@ -206,10 +202,9 @@ impl RigEstimate {
         }
         for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(ratios) {
             let limit = Limit::AtMost(WORRYING_RATIO);
-            let verdict = Verdict::Warn.unless(limit.holds(ratio));
             let what = format!("its residual is {ratio:.1} times its specified noise");
-            let fit = Finding::new("imu-fit", verdict, *name, what);
-            found.push(fit.value(ratio, "").limit(limit).remedy(
+            let fit = Finding::new("imu-fit", Verdict::Warn, *name, what);
+            found.push(fit.judged(ratio, "", limit).remedy(
                 "measure its noise (`lsfb calib imu-noise`), and check that it is firmly mounted and that no clock jumps",
             ));
         }
@@ -238,15 +233,9 @@ impl RigEstimate {
         }
         let worst_mm = c.position_sigma_m.iter().copied().fold(0.0, f64::max) * 1e3;
         let limit = Limit::AtMost(WORRYING_POSITION_M * 1e3);
-        let verdict = Verdict::Warn.unless(limit.holds(worst_mm));
         let what = format!("position on the IMU: standard deviation {worst_mm:.1} mm");
-        let place = Finding::new("position-sigma", verdict, name, what);
-        found.push(
-            place
-                .value(worst_mm, "mm")
-                .limit(limit)
-                .remedy(self.advice()),
-        );
+        let place = Finding::new("position-sigma", Verdict::Warn, name, what);
+        found.push(place.judged(worst_mm, "mm", limit).remedy(self.advice()));
         found.push(clock_sigma(c));
         found.extend(clock_offset(c));
         found.extend(self.clock_drift(c));
@@ -345,21 +334,18 @@ pub(super) fn axes(found: &[Estimate], config: &CameraImuConfig) -> Option<Findi
         true => "calibrate the IMU itself: everything that uses the rig assumes ideal axes",
         false => "set axes = \"estimated\", or set axes_sigma to the value in the IMU's data sheet",
     };
-    let finding = finding(Verdict::Warn.unless(limit.holds(percent)), what)
-        .value(percent, "%")
-        .sigma(sigma)
-        .limit(limit);
+    let finding = finding(Verdict::Warn, what)
+        .judged(percent, "%", limit)
+        .sigma(sigma);
     Some(finding.remedy(remedy))
 }
 
 fn clock_sigma(c: &CameraOnImu) -> Finding {
     let sigma_ms = c.rig_from_camera_sigma_s * 1e3;
     let limit = Limit::AtMost(WORRYING_CLOCK_S * 1e3);
-    let verdict = Verdict::Warn.unless(limit.holds(sigma_ms));
     let what = format!("time offset: standard deviation {sigma_ms:.2} ms");
-    Finding::new("clock-sigma", verdict, &*c.name, what)
-        .value(sigma_ms, "ms")
-        .limit(limit)
+    Finding::new("clock-sigma", Verdict::Warn, &*c.name, what)
+        .judged(sigma_ms, "ms", limit)
         .remedy("move faster")
 }
 

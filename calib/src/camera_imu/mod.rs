@@ -39,6 +39,7 @@ mod samples;
 mod start;
 mod state;
 mod table;
+mod timed_view;
 mod uncertainty;
 mod view_residual;
 

@@ -3,12 +3,13 @@
 use lsfb_geometry::{Vector2, Vector3, spline};
 use lsfb_solver::{Block, Kernel, Problem, solve, solve_until_converged};
 
-use super::bend::bends;
+use super::bend::bent;
 use super::blocks::Blocks;
 use super::corner_residual::CornerResidual;
 use super::effort::{BoardSize, Effort};
 use super::inertial::{Accelerometer, BiasWalk, GravityNorm, Gyro};
 use super::state::{RigEstimate, View};
+use super::timed_view::TimedView;
 use super::view_residual::ViewResidual;
 use super::{CameraImuConfig, ORDER, Readout};
 use crate::Error;
@@ -98,9 +99,15 @@ impl RigEstimate {
     ) -> Result<(), Error> {
         let k = view.camera;
         let camera = &self.cameras[k];
-        let knots = self.motion.knots;
-        let size = [camera.camera.width, camera.camera.height];
-        let inverse_sigma = 1.0 / camera.sigma_px;
+        let timed_view = |time_in_segment_s| TimedView {
+            model: camera.model(),
+            size: [camera.camera.width, camera.camera.height],
+            time_in_segment_s,
+            after_middle_s: view.stamp_s - self.middle_s,
+            spacing_s: self.motion.knots.spacing_s,
+            centre: self.centre,
+            inverse_sigma: 1.0 / camera.sigma_px,
+        };
         let rest = [
             blocks.poses[k].id(),
             blocks.clocks[k].id(),
@@ -132,14 +139,8 @@ impl RigEstimate {
             };
             ids.extend(&rest[..4]);
             let residual = ViewResidual {
-                model: camera.model(),
-                size,
-                time_in_segment_s,
-                after_middle_s: view.stamp_s - self.middle_s,
-                spacing_s: knots.spacing_s,
-                centre: self.centre,
+                view: timed_view(time_in_segment_s),
                 corners: seen,
-                inverse_sigma,
             };
             let id = problem.add_residual(residual, &ids, Kernel::Squared)?;
             blocks.timed.push((view.stamp_s, id));
@@ -152,15 +153,9 @@ impl RigEstimate {
             };
             ids.extend(&rest);
             let residual = CornerResidual {
-                model: camera.model(),
-                size,
-                time_in_segment_s,
-                after_middle_s: view.stamp_s - self.middle_s,
-                spacing_s: knots.spacing_s,
-                centre: self.centre,
+                view: timed_view(time_in_segment_s),
                 point,
                 pixel,
-                inverse_sigma,
             };
             let id = problem.add_residual(residual, &ids, Kernel::Squared)?;
             timed.push((view.stamp_s, id));
@@ -177,7 +172,7 @@ impl RigEstimate {
 
     /// A corner of the board as it is bent.
     pub fn bent(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        point + bends(&(point - self.centre)) * self.bend
+        bent(point, &self.centre, &self.bend)
     }
 
     /// Which of the biases' control points a time lies between, and where.

@@ -2,11 +2,10 @@
 //! variance of such samples is a curve like any other; of an axis that always says zero it is zero, and its standard deviation too.
 
 use lsfb_geometry::Vector3;
-use lsfb_types::{Finding, Limit, Verdict};
+use lsfb_types::{Finding, Limit, STANDARD_GRAVITY_M_S2, Verdict};
 
 use super::rest::Log;
 
-const GRAVITY_M_S2: f64 = 9.81;
 /// Share by which an accelerometer's gravity may be off: scale errors of raw ones are below 3 %.
 const GRAVITY_SHARE: f64 = 0.05;
 /// By how much a tenth of the recording may differ from all of it, m/s²: three degrees of tilt. Biases wander by a tenth of that.
@@ -36,8 +35,8 @@ fn mean_force(log: &Log, part: std::ops::Range<usize>) -> Vector3<f64> {
 
 fn gravity(log: &Log) -> Finding {
     let found = mean_force(log, 0..log.axes[0].len()).norm();
-    let is = |unit: f64| (found * unit / GRAVITY_M_S2 - 1.0).abs() <= GRAVITY_SHARE;
-    let cause = match (is(GRAVITY_M_S2), is(1e-3 * GRAVITY_M_S2)) {
+    let is = |unit: f64| (found * unit / STANDARD_GRAVITY_M_S2 - 1.0).abs() <= GRAVITY_SHARE;
+    let cause = match (is(STANDARD_GRAVITY_M_S2), is(1e-3 * STANDARD_GRAVITY_M_S2)) {
         (true, _) => ": it is in units of g",
         (_, true) => ": it is in thousandths of g",
         _ => ": check its unit, and that gravity was not subtracted",
@@ -73,10 +72,8 @@ fn gravity_moves(log: &Log) -> Finding {
             "{after_s:.0} s after the start, gravity differs by {moved:.2} m/s² from its mean over the recording: the IMU was turned, or its signs changed"
         ),
     };
-    let verdict = Verdict::Fail.unless(limit.holds(moved));
-    Finding::new("rest", verdict, "accelerometer", what)
-        .value(moved, "m/s²")
-        .limit(limit)
+    Finding::new("rest", Verdict::Fail, "accelerometer", what)
+        .judged(moved, "m/s²", limit)
         .remedy("record again, with the IMU at rest the whole time")
 }
 
@@ -136,13 +133,7 @@ fn gyro_unit(density: f64) -> Finding {
             "noise is implausibly high for a gyroscope: is the unit degrees per second?".to_owned()
         }
     };
-    Finding::new(
-        "gyro-unit",
-        Verdict::Warn.unless(limit.holds(density)),
-        "gyroscope",
-        what,
-    )
-    .value(density, "rad/s/√Hz")
-    .limit(limit)
-    .remedy("give rad/s")
+    Finding::new("gyro-unit", Verdict::Warn, "gyroscope", what)
+        .judged(density, "rad/s/√Hz", limit)
+        .remedy("give rad/s")
 }

@@ -1,13 +1,13 @@
 //! The board in the camera: pose and information from its corners.
 
 use lsfb_geometry::{Camera, Matrix2x6, Matrix6, Se3};
+use lsfb_perception::projection::moved_by_pose;
 use lsfb_perception::statistics::median;
 use lsfb_solver::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 
 use super::{InCamera, MountedBoard};
 use crate::camera::pose_of_target;
 use crate::detect::Corner;
-use crate::projection::moved_by_pose;
 
 /// Corners a pose needs.
 const MIN_CORNERS: usize = 8;

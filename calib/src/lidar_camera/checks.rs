@@ -189,8 +189,7 @@ impl PoseFit {
 }
 
 fn poses_left_out(c: &LidarCameraCalibration) -> Finding {
-    let is_left_out = |p: &&PoseFit| p.verdict() == Verdict::Unknown;
-    let left_out = c.poses.iter().filter(is_left_out).count();
+    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
     let is_good = 4 * left_out <= c.poses.len();
     let what = format!("{left_out} of {} poses were left out", c.poses.len());
     Finding::new("poses", Verdict::Warn.unless(is_good), "poses", what)
@@ -240,29 +239,17 @@ fn precision(c: &LidarCameraCalibration) -> [Finding; 2] {
         "rotation about the LiDAR's {} axis: standard deviation {turn_deg:.2}°",
         axis(turn)
     );
-    let rotation = Finding::new(
-        "rotation-sigma",
-        Verdict::Warn.unless(limit.holds(turn_deg)),
-        &*c.camera,
-        what,
-    )
-    .value(turn_deg, "°")
-    .limit(limit)
-    .remedy("record more poses, with the board near the border of the image");
+    let rotation = Finding::new("rotation-sigma", Verdict::Warn, &*c.camera, what)
+        .judged(turn_deg, "°", limit)
+        .remedy("record more poses, with the board near the border of the image");
     let limit = Limit::AtMost(GOOD_TRANSLATION_M * 1e3);
     let what = format!(
         "translation along the LiDAR's {} axis: standard deviation {shift_mm:.0} mm",
         axis(shift)
     );
-    let translation = Finding::new(
-        "translation-sigma",
-        Verdict::Warn.unless(limit.holds(shift_mm)),
-        &*c.camera,
-        what,
-    )
-    .value(shift_mm, "mm")
-    .limit(limit)
-    .remedy("tilt the board so that it faces more in that direction");
+    let translation = Finding::new("translation-sigma", Verdict::Warn, &*c.camera, what)
+        .judged(shift_mm, "mm", limit)
+        .remedy("tilt the board so that it faces more in that direction");
     [rotation, translation]
 }
 
@@ -287,9 +274,8 @@ fn spreads(c: &LidarCameraCalibration) -> impl Iterator<Item = Finding> {
         let what = format!(
             "residuals of {name} are {spread:.1} times their expected noise; the standard deviations account for that"
         );
-        Finding::new("spread", Verdict::Warn.unless(limit.holds(spread)), name, what)
-            .value(spread, "")
-            .limit(limit)
+        Finding::new("spread", Verdict::Warn, name, what)
+            .judged(spread, "", limit)
             .remedy(remedy)
     })
 }

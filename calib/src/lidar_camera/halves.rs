@@ -42,9 +42,8 @@ pub(super) fn finding(camera: &str, from_whole: &[Vector6<f64>; 2], sigma: &[f64
         "in {}, two halves of the poses are {first:+.2}{unit} and {second:+.2}{unit} from the result of all poses: {value:.1} standard deviations",
         NAMES[worst]
     );
-    Finding::new("halves", Verdict::Warn.unless(limit.holds(value)), camera, what)
-        .value(value, "σ")
-        .limit(limit)
+    Finding::new("halves", Verdict::Warn, camera, what)
+        .judged(value, "σ", limit)
         .remedy("check that nothing moved between the poses and that the lens belongs to these images, and record more poses")
 }
 

@@ -29,10 +29,9 @@ mod summary;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Camera, Se3, Vector3};
-use lsfb_types::{Bounds, Finding, LidarScan, Progress, ProgressFn};
+use lsfb_types::{Bounds, Finding, LidarScan, ProgressFn, SharedProgress};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -323,7 +322,7 @@ fn scenes<'a>(
     progress: ProgressFn,
 ) -> Result<Vec<Scene<'a>>, Error> {
     let copies = poses::copied(poses);
-    let done = AtomicU64::new(0);
+    let done = SharedProgress::new("boards", poses.len(), progress);
     let looked: Result<Vec<Scene>, Error> = poses
         .par_iter()
         .enumerate()
@@ -332,11 +331,7 @@ fn scenes<'a>(
                 Some(first) => Scene::copy(pose, &poses[*first].name),
                 None => Scene::new(board, camera, pose, config),
             };
-            progress(Progress {
-                stage: "boards",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: poses.len() as u64,
-            })?;
+            done.one_more()?;
             Ok(scene)
         })
         .collect();

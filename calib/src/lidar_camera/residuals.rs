@@ -11,11 +11,11 @@
 //! range; for edges also `d`.
 
 use lsfb_geometry::{Matrix3, Se3, Vector2, Vector3, so3};
+use lsfb_perception::projection::moved_by_inverse;
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{RowVector3, SMatrix, SVector};
 
 use super::plane::Plane;
-use crate::projection::moved_by_inverse;
 
 pub(super) type Rows<const D: usize> = SMatrix<f64, D, 6>;
 

@@ -246,10 +246,8 @@ impl Refinement {
         let limit = Limit::AtMost(WORRYING_TURN_DEG);
         let what =
             format!("each image is rotated by {turn_deg:.3}° relative to the LiDAR's trajectory");
-        let verdict = Verdict::Warn.unless(limit.holds(turn_deg));
-        Finding::new("images", verdict, &*self.camera, what)
-            .value(turn_deg, "°")
-            .limit(limit)
+        Finding::new("images", Verdict::Warn, &*self.camera, what)
+            .judged(turn_deg, "°", limit)
             .remedy("the lens may not belong to these images, or the LiDAR's trajectory is poor, and the pose is then off by more than its standard deviation; calibrate the lens (`lsfb calib camera`) and refine again")
     }
 

@@ -1,10 +1,9 @@
 //! What the adjustment minimises: corners in images, and corners off the surfaces that the LiDAR saw.
 
-use lsfb_geometry::{Camera, Matrix2x3, Matrix2x6, Se3, Vector2, Vector3, Vector6};
+use lsfb_geometry::{Camera, Matrix2x3, Se3, Vector2, Vector3, Vector6};
+use lsfb_perception::projection::by_pose_of_inverse;
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::Vector1;
-
-use crate::projection::moved_by_inverse;
 
 /// Nearest that a corner may be to the camera, metres.
 const NEAREST_M: f64 = 0.1;
@@ -90,8 +89,8 @@ impl Residual for CornerResidual {
                 .ok_or(Undefined)?;
         let weight = 1.0 / self.sigma_px;
         out.set_residual(&((seen.pixel - self.pixel) * weight));
-        let by_mounting: Matrix2x6<f64> = seen.by_camera * moved_by_inverse(&seen.in_camera);
-        let by_pose: Matrix2x6<f64> = seen.by_lidar * moved_by_inverse(&seen.in_lidar);
+        let by_mounting = by_pose_of_inverse(&seen.by_camera, &seen.in_camera);
+        let by_pose = by_pose_of_inverse(&seen.by_lidar, &seen.in_lidar);
         out.set_jacobian(0, &(by_mounting * weight));
         out.set_jacobian(1, &(by_pose * self.twist * weight));
         out.set_jacobian(2, &(by_pose * moved.inverse().adjoint() * weight));

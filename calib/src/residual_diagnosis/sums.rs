@@ -2,6 +2,7 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_perception::projection::moved_by_pose;
 use lsfb_solver::{
     Kernel, Linearization, Marginal, Parameters, Problem, Residual, Shape, Undefined, marginal,
 };
@@ -11,7 +12,6 @@ use super::field::{FIELD, moved_by_field};
 use super::one_lens::LensOfView;
 use super::{AdjustedCorner, AdjustedView, from_middle};
 use crate::board::Target;
-use crate::projection::moved_by_pose;
 
 /// Rings of the lens's radial profile.
 pub(super) const RINGS: usize = 8;

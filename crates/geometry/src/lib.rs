@@ -34,4 +34,4 @@ pub use rig::{
     RigImu, RigLidar, toml_problem,
 };
 pub use se3::Se3;
-pub use trajectory::{StampedPose, Trajectory};
+pub use trajectory::{StampedPose, Trajectory, mean_position, path_length_m};

@@ -1,4 +1,5 @@
 use lsfb_types::{Timestamp, median};
+use nalgebra::Vector3;
 
 use crate::Se3;
 
@@ -9,6 +10,20 @@ pub struct StampedPose {
     pub time: Timestamp,
     /// Pose of the rig in the world.
     pub world_from_rig: Se3,
+}
+
+/// Sum of the distances between neighbours, metres.
+pub fn path_length_m(poses: &[StampedPose]) -> f64 {
+    poses
+        .windows(2)
+        .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm())
+        .sum()
+}
+
+/// Mean of the positions, metres.
+pub fn mean_position(poses: &[StampedPose]) -> Vector3<f64> {
+    let positions = poses.iter().map(|p| p.world_from_rig.translation);
+    positions.sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
 
 /// Neighbours that are so far apart in time have the motion between them, seconds: a second without a measurement is bridged.
@@ -64,10 +79,7 @@ impl Trajectory {
 
     /// Sum of the distances between neighbours, metres.
     pub fn path_length_m(&self) -> f64 {
-        self.poses
-            .windows(2)
-            .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm())
-            .sum()
+        path_length_m(&self.poses)
     }
 
     /// Pose at `time`, interpolated between its neighbours; `None` outside the trajectory, and in a hole.

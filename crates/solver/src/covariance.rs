@@ -208,15 +208,7 @@ impl Factored {
             let entry = &problem.blocks[block.0];
             let first = step.len();
             step.resize(first + entry.shape.tangent, 0.0);
-            let rows = match self.layout.parts[block.0] {
-                Part::Reduced(i) => self.layout.rows(i),
-                Part::Point(p) => {
-                    let from = self.layout.dimension() + POINT * p;
-                    from..from + POINT
-                }
-                Part::Constant => continue,
-            };
-            for (k, row) in rows.enumerate() {
+            for (k, row) in self.layout.whole_rows(block.0).enumerate() {
                 step[first + entry.component(k)] = moved[row];
             }
         }

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::covariance::{Covariance, Factored};
 use crate::divide::on_pool;
 use crate::evaluation::Evaluation;
-use crate::layout::{Layout, POINT, Part};
+use crate::layout::Layout;
 use crate::problem::{BlockId, Problem, ResidualId};
 use crate::residual::CONSTANT;
 
@@ -46,7 +46,7 @@ pub fn influences(
     let (size, reduced) = (columns.dimension(), factored.layout.dimension());
     let mut matrix = DMatrix::zeros(size, size);
     // By row of the whole system, so that what belongs to one block lies together.
-    let mut inverse = DMatrix::zeros(size, reduced + POINT * factored.layout.points.len());
+    let mut inverse = DMatrix::zeros(size, factored.layout.whole_dimension());
     let mut solved = vec![0.0; reduced];
     for column in &columns.list {
         factored.solve(column, &mut solved);
@@ -107,14 +107,7 @@ fn moves(
         if slot.jacobian == CONSTANT {
             continue;
         }
-        let columns = match layout.parts[slot.block as usize] {
-            Part::Reduced(i) => layout.rows(i),
-            Part::Point(p) => {
-                let first = layout.dimension() + POINT * p;
-                first..first + POINT
-            }
-            Part::Constant => continue,
-        };
+        let columns = layout.whole_rows(slot.block as usize);
         let free = columns.len();
         let jacobian = &record[slot.jacobian as usize..][..rows * free];
         let by_block = DMatrix::from_row_slice(rows, free, jacobian);

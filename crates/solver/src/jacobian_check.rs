@@ -45,7 +45,7 @@ fn check_residual(
             continue;
         }
         let entry = &problem.blocks[slot.block as usize];
-        let range = entry.start..entry.start + entry.shape.stored;
+        let range = entry.stored();
         let tangent = entry.shape.tangent;
         let free = entry.free();
         let jacobian = &record[slot.jacobian as usize..][..dimension * free];

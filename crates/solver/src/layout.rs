@@ -250,14 +250,7 @@ impl Layout {
                     next += dimension * entry.free();
                     (next - dimension * entry.free()) as u32
                 };
-                self.slots.push(Slot {
-                    value: entry.start,
-                    mask: entry.mask,
-                    block: block.0 as u32,
-                    jacobian,
-                    pair: NO_PAIR,
-                    couplings: [0; 2],
-                });
+                self.slots.push(problem.slot(*block, jacobian));
             }
             // Numbers within a record, and of blocks, are kept short.
             if next.max(self.slots.len()).max(problem.blocks.len()) >= CONSTANT as usize {
@@ -488,6 +481,23 @@ impl Layout {
     /// Rows of a reduced block.
     pub fn rows(&self, reduced: usize) -> Range<usize> {
         self.row_start[reduced]..self.row_start[reduced + 1]
+    }
+
+    /// Rows of the whole system: those of the reduced one, then those of the points.
+    pub fn whole_dimension(&self) -> usize {
+        self.dimension() + POINT * self.points.len()
+    }
+
+    /// Rows of a block in the whole system; none where it is not searched.
+    pub fn whole_rows(&self, block: usize) -> Range<usize> {
+        match self.parts[block] {
+            Part::Reduced(i) => self.rows(i),
+            Part::Point(p) => {
+                let first = self.dimension() + POINT * p;
+                first..first + POINT
+            }
+            Part::Constant => 0..0,
+        }
     }
 
     /// Pairs of a point.

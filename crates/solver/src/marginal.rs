@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::covariance::Factored;
 use crate::evaluation::{Evaluation, not_finite};
-use crate::layout::{Layout, POINT, Part};
+use crate::layout::Layout;
 use crate::problem::{BlockId, Problem, Role};
 use crate::residual::CONSTANT;
 use crate::{Error, Shape};
@@ -42,28 +42,20 @@ pub fn marginal(problem: &Problem, blocks: &[BlockId]) -> Result<Marginal, Error
         size += tangent;
     }
     let followers = Layout::new(&others)?;
-    let mut factored = match followers.dimension() + followers.points.len() {
+    let mut factored = match followers.whole_dimension() {
         0 => None,
         _ => Some(Factored::new(&others, &[])?),
     };
     let followers = factored.as_ref().map_or(&followers, |f| &f.layout);
-    let of_others = |block: usize| match followers.parts[block] {
-        Part::Reduced(i) => Some(followers.rows(i)),
-        Part::Point(p) => {
-            let first = followers.dimension() + POINT * p;
-            Some(first..first + POINT)
-        }
-        Part::Constant => None,
-    };
-    let height = followers.dimension() + POINT * followers.points.len();
+    let height = followers.whole_dimension();
     // The blocks asked for first, then all others, then the residual.
     let place = |block: usize| -> Vec<usize> {
         let entry = &problem.blocks[block];
         let own = 0..entry.free();
-        match (asked[block], of_others(block)) {
-            (Some(first), _) => own.map(|k| first + entry.component(k)).collect(),
-            (None, Some(rows)) => rows.map(|row| size + row).collect(),
-            (None, None) => Vec::new(),
+        let others = followers.whole_rows(block);
+        match asked[block] {
+            Some(first) => own.map(|k| first + entry.component(k)).collect(),
+            None => others.map(|row| size + row).collect(),
         }
     };
     let last = size + height;

@@ -88,7 +88,7 @@ pub fn solve_controlled(
 /// Refuses values that are not finite.
 pub(crate) fn check_values(problem: &Problem) -> Result<(), Error> {
     for (block, entry) in problem.blocks.iter().enumerate() {
-        let stored = &problem.values[entry.start..entry.start + entry.shape.stored];
+        let stored = &problem.values[entry.stored()];
         if !stored.iter().all(|x| x.is_finite()) {
             return Err(Error::BlockNotFinite { block });
         }
@@ -416,7 +416,7 @@ pub(crate) fn move_block(
     moved: &mut [f64],
 ) {
     let entry = &problem.blocks[block];
-    let range = entry.start..entry.start + entry.shape.stored;
+    let range = entry.stored();
     let (from, to) = (&values[range.clone()], &mut moved[range]);
     if entry.mask == crate::residual::ALL {
         (entry.plus)(from, delta, to);

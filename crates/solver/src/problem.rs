@@ -1,12 +1,13 @@
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
+use std::ops::Range;
 use std::sync::Arc;
 
 use lsfb_geometry::Vector3;
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 
-use crate::residual::{ALL, Single};
+use crate::residual::{ALL, NO_PAIR, Single, Slot};
 use crate::{
     Error, Kernel, Linearization, Manifold, Parameters, Residual, ResidualSet, Shape, Undefined,
 };
@@ -84,6 +85,11 @@ pub(crate) struct BlockEntry {
 }
 
 impl BlockEntry {
+    /// Where its numbers are among the values.
+    pub fn stored(&self) -> Range<usize> {
+        self.start..self.start + self.shape.stored
+    }
+
     /// Components of the tangent that are searched.
     pub fn free(&self) -> usize {
         if self.mask == ALL {
@@ -336,9 +342,22 @@ impl Problem {
         &self.values
     }
 
+    /// Where residuals find a block, with the Jacobian by it there; pairs and couplings are not known yet.
+    pub(crate) fn slot(&self, block: BlockId, jacobian: u32) -> Slot {
+        let entry = &self.blocks[block.0];
+        Slot {
+            value: entry.start,
+            mask: entry.mask,
+            block: block.0 as u32,
+            jacobian,
+            pair: NO_PAIR,
+            couplings: [0; 2],
+        }
+    }
+
     fn stored(&self, block: BlockId) -> &[f64] {
         let entry = &self.blocks[block.0];
-        &self.values[entry.start..entry.start + entry.shape.stored]
+        &self.values[entry.stored()]
     }
 
     /// Adds a residual on `blocks`, in the order in which it reads them.

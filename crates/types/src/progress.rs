@@ -1,4 +1,4 @@
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// How far a stage has come. The command line turns it into a bar with an ETA.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +28,43 @@ impl std::fmt::Display for Stopped {
 }
 
 impl std::error::Error for Stopped {}
+
+/// The [`Progress`] of units that threads finish side by side.
+pub struct SharedProgress<'a> {
+    stage: &'static str,
+    done: AtomicU64,
+    total: u64,
+    progress: ProgressFn<'a>,
+}
+
+impl<'a> SharedProgress<'a> {
+    /// None of so many is done.
+    pub fn new(stage: &'static str, total: usize, progress: ProgressFn<'a>) -> Self {
+        Self {
+            stage,
+            done: AtomicU64::new(0),
+            total: total as u64,
+            progress,
+        }
+    }
+
+    /// So many are done already.
+    pub fn after(self, done: usize) -> Self {
+        Self {
+            done: AtomicU64::new(done as u64),
+            ..self
+        }
+    }
+
+    /// One more is done, by whichever thread.
+    pub fn one_more(&self) -> Result<(), Stopped> {
+        (self.progress)(Progress {
+            stage: self.stage,
+            done: self.done.fetch_add(1, Ordering::Relaxed) + 1,
+            total: self.total,
+        })
+    }
+}
 
 /// The callback of callers who stop by a flag, from another thread.
 pub fn until(stop: &AtomicBool) -> impl Fn(Progress) -> Result<(), Stopped> + Sync {

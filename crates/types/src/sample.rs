@@ -1,5 +1,8 @@
 use crate::Timestamp;
 
+/// Standard gravity, m/s²: what an accelerometer at rest measures, nearly, and what devices that count in g mean by it.
+pub const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
+
 /// A sample with its three stamps. None is ever overwritten by another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stamped<T> {

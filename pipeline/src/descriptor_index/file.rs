@@ -25,23 +25,23 @@ impl DescriptorIndex {
             values: values.clone(),
         };
         let codes = Column::Bytes {
-            width: self.code_bytes,
-            values: self.codes.clone(),
+            width: self.columns.code_bytes,
+            values: self.columns.codes.clone(),
         };
-        let offsets = Column::F32(self.offsets.clone());
+        let offsets = Column::F32(self.columns.offsets.clone());
         let lists = [
-            list(DESCRIPTOR_LEN, &self.centroids),
-            u32s(&self.first_entry),
+            list(DESCRIPTOR_LEN, &self.columns.centroids),
+            u32s(&self.columns.first_entry),
         ];
         let tables: [Vec<NamedColumn>; 3] = [
             LISTS.into_iter().zip(lists).collect(),
             ENTRIES
                 .into_iter()
-                .zip([u32s(&self.entries), codes, offsets])
+                .zip([u32s(&self.columns.entries), codes, offsets])
                 .collect(),
             CODEBOOK
                 .into_iter()
-                .zip([list(WORDS, &self.words)])
+                .zip([list(WORDS, &self.columns.words)])
                 .collect(),
         ];
         for (name, columns) in TABLES.iter().zip(tables) {

@@ -9,6 +9,7 @@ use std::hint::black_box;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::features::Descriptor;
+use crate::features::matching::distance_squared;
 
 /// Centroids that are looked at together: as many sums as the registers of a processor with AVX2 take.
 const LANES: usize = 64;
@@ -240,13 +241,7 @@ impl<N: Iterator<Item = u32>> WithSimd for AppendDistances<'_, N> {
     fn with_simd<S: Simd>(self, _simd: S) {
         for number in self.numbers {
             let other = &self.all[number as usize];
-            // Pairs of sixteen-bit lanes are multiplied and added at once.
-            let mut sum = 0;
-            for (a, b) in self.query.iter().zip(other) {
-                let difference = i16::from(*a) - i16::from(*b);
-                sum += i32::from(difference) * i32::from(difference);
-            }
-            self.distances.push(sum as u32);
+            self.distances.push(distance_squared(self.query, other));
         }
     }
 }
@@ -255,7 +250,6 @@ impl<N: Iterator<Item = u32>> WithSimd for AppendDistances<'_, N> {
 mod tests {
     use super::*;
     use crate::features::DESCRIPTOR_LEN;
-    use crate::features::matching::distance_squared;
 
     fn numbers(count: usize, seed: usize) -> Vec<f32> {
         let hashed = |i: usize| (i + seed).wrapping_mul(2_654_435_761) >> 7;

@@ -108,9 +108,17 @@ fn is_code_length(bytes: usize) -> bool {
     [8, 16, 32, 64].contains(&bytes)
 }
 
-/// The index: columns as they are in the files. Cloning shares them.
+/// The index. Cloning shares what it holds.
 #[derive(Clone, Debug)]
 pub struct DescriptorIndex {
+    columns: Columns,
+    /// The centroids once more, as the search wants them.
+    lists: Arc<CentroidBlocks>,
+}
+
+/// Columns as they are in the files.
+#[derive(Clone, Debug)]
+struct Columns {
     /// Centroid of each list, one after the other.
     centroids: ScalarBuffer<f32>,
     /// First entry of each list.
@@ -125,56 +133,34 @@ pub struct DescriptorIndex {
     offsets: ScalarBuffer<f32>,
     /// For each dimension of the descriptor, its value in the `WORDS` words of its part.
     words: ScalarBuffer<f32>,
-    /// The centroids once more, as the search wants them.
-    lists: Arc<CentroidBlocks>,
-}
-
-/// Columns of an index, before they are known to fit together.
-#[derive(Clone, Debug)]
-struct Columns {
-    centroids: ScalarBuffer<f32>,
-    first_entry: ScalarBuffer<u32>,
-    entries: ScalarBuffer<u32>,
-    code_bytes: usize,
-    codes: Buffer,
-    offsets: ScalarBuffer<f32>,
-    words: ScalarBuffer<f32>,
 }
 
 impl DescriptorIndex {
     fn from_columns(columns: Columns) -> Self {
         let lists = Arc::new(CentroidBlocks::new(&columns.centroids, DESCRIPTOR_LEN));
-        Self {
-            centroids: columns.centroids,
-            first_entry: columns.first_entry,
-            entries: columns.entries,
-            code_bytes: columns.code_bytes,
-            codes: columns.codes,
-            offsets: columns.offsets,
-            words: columns.words,
-            lists,
-        }
+        Self { columns, lists }
     }
 
     /// Number of descriptors.
     pub fn len(&self) -> usize {
-        self.entries.len()
+        self.columns.entries.len()
     }
 
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.columns.entries.is_empty()
     }
 
     /// Number of inverted lists.
     pub fn list_count(&self) -> usize {
-        self.first_entry.len()
+        self.columns.first_entry.len()
     }
 
     /// Bytes of all its columns.
     pub fn bytes(&self) -> usize {
-        let floats = self.centroids.len() + self.offsets.len() + self.words.len();
-        let numbers = self.first_entry.len() + self.entries.len();
-        4 * (floats + numbers) + self.codes.len()
+        let floats =
+            self.columns.centroids.len() + self.columns.offsets.len() + self.columns.words.len();
+        let numbers = self.columns.first_entry.len() + self.columns.entries.len();
+        4 * (floats + numbers) + self.columns.codes.len()
     }
 }

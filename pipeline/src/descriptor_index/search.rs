@@ -47,7 +47,7 @@ impl DescriptorIndex {
         probes: usize,
         scratch: &'a mut SearchScratch,
     ) -> &'a [Neighbour] {
-        match self.code_bytes {
+        match self.columns.code_bytes {
             8 => self.search_codes::<8>(query, count, probes, scratch),
             16 => self.search_codes::<16>(query, count, probes, scratch),
             32 => self.search_codes::<32>(query, count, probes, scratch),
@@ -69,22 +69,22 @@ impl DescriptorIndex {
         scratch.lists.offer(&scratch.scores, |list| list as u32);
 
         scratch.products.resize(N, [0.0; WORDS]);
-        multiply(&query, &self.words, &mut scratch.products);
+        multiply(&query, &self.columns.words, &mut scratch.products);
         let products = scratch.products.first_chunk::<N>();
-        let codes = self.codes.as_chunks::<N>().0;
+        let codes = self.columns.codes.as_chunks::<N>().0;
         scratch.entries.restart(count);
         // The nearest list first: what it holds leaves out most of the others'.
         for (score, list) in scratch.lists.sorted() {
             let list = *list as usize;
-            let from = self.first_entry[list] as usize;
-            let next = self.first_entry.get(list + 1);
-            let to = next.map_or(self.entries.len(), |e| *e as usize);
+            let from = self.columns.first_entry[list] as usize;
+            let next = self.columns.first_entry.get(list + 1);
+            let to = next.map_or(self.columns.entries.len(), |e| *e as usize);
             if let Some(products) = products {
                 let base = squared_norm + score;
-                let offsets = &self.offsets[from..to];
+                let offsets = &self.columns.offsets[from..to];
                 let distances = &mut scratch.distances;
                 estimate(&codes[from..to], offsets, products, base, distances);
-                let entries = &self.entries[from..to];
+                let entries = &self.columns.entries[from..to];
                 scratch.entries.offer(distances, |entry| entries[entry]);
             }
         }

@@ -79,16 +79,17 @@ fn estimates_are_distances_to_decoded_entries() {
     assert!(index.list_count() > 5);
     let mut decoded = vec![[0.0; DESCRIPTOR_LEN]; stored.len()];
     for list in 0..index.list_count() {
-        let from = index.first_entry[list] as usize;
+        let from = index.columns.first_entry[list] as usize;
         let to = index
+            .columns
             .first_entry
             .get(list + 1)
             .map_or(index.len(), |e| *e as usize);
         for entry in from..to {
-            decoded[index.entries[entry] as usize] = std::array::from_fn(|d| {
-                let word = index.codes[entry * 16 + d / 8];
-                index.centroids[list * DESCRIPTOR_LEN + d]
-                    + index.words[d * WORDS + usize::from(word)]
+            decoded[index.columns.entries[entry] as usize] = std::array::from_fn(|d| {
+                let word = index.columns.codes[entry * 16 + d / 8];
+                index.columns.centroids[list * DESCRIPTOR_LEN + d]
+                    + index.columns.words[d * WORDS + usize::from(word)]
             });
         }
     }

@@ -1,6 +1,4 @@
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use lsfb_types::{Image, Progress, ProgressFn};
+use lsfb_types::{Image, ProgressFn, SharedProgress};
 use rayon::prelude::*;
 
 use super::{Feature, Features, LearnedConfig, LearnedDetector, SiftConfig, SiftDetector};
@@ -64,7 +62,7 @@ impl FeatureDetector {
         images: &[&Image],
         progress: ProgressFn,
     ) -> Result<Vec<Features>, Error> {
-        let done = AtomicU64::new(0);
+        let done = SharedProgress::new("image features", images.len(), progress);
         let largest = images.iter().map(|i| self.bytes(i)).max();
         let at_once = (MAX_BYTES / largest.unwrap_or(0).max(1)).max(1);
         let group_len = match at_once < rayon::current_num_threads() {
@@ -79,11 +77,7 @@ impl FeatureDetector {
                     || self.clone(),
                     |detector, image| {
                         let features = detector.detect(image);
-                        progress(Progress {
-                            stage: "image features",
-                            done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                            total: images.len() as u64,
-                        })?;
+                        done.one_more()?;
                         Ok(features)
                     },
                 )

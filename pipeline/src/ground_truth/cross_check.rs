@@ -9,10 +9,9 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Matrix6, Vector3};
-use lsfb_types::{Progress, ProgressFn, no_progress};
+use lsfb_types::{ProgressFn, SharedProgress, no_progress};
 use nalgebra::Vector6;
 use rayon::prelude::*;
 
@@ -135,7 +134,7 @@ pub(super) fn check_halves(
     let cores: Vec<Range<usize>> = firsts
         .map(|first| first..(first + FRAMES_AT_ONCE).min(checked.len()))
         .collect();
-    let (done, total) = (AtomicU64::new(0), (cores.len() * HALVES.len()) as u64);
+    let done = SharedProgress::new("cross-check", cores.len() * HALVES.len(), progress);
     let config = &config.roughly();
     let shown = Deviations::of(walk, estimate, points);
     let [limit_m, harmless_m, known_m] =
@@ -150,11 +149,7 @@ pub(super) fn check_halves(
             let halves: Vec<Option<SolvedHalf>> = HALVES
                 .into_par_iter()
                 .map(|half| {
-                    progress(Progress {
-                        stage: "cross-check",
-                        done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                        total,
-                    })?;
+                    done.one_more()?;
                     let stretch = Stretch::new(walk, estimate, points, frames);
                     let Some(half) = stretch.solved_by(half, config)? else {
                         return Ok(None);

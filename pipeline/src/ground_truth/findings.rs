@@ -34,6 +34,11 @@ impl GroundTruthWarning {
         let warn = |code: &'static str, subject: &str, what: String| {
             Finding::new(code, Verdict::Warn, subject, what)
         };
+        // There should be nothing of it.
+        let unwanted = |code, subject, value: f64, unit, what: String| {
+            let finding = warn(code, subject, what).value(value, unit);
+            finding.limit(Limit::AtMost(0.0))
+        };
         match self {
             Self::LeftOut {
                 reason,
@@ -63,13 +68,13 @@ impl GroundTruthWarning {
                 ),
             )
             .remedy("record the IMU together with the images"),
-            Self::ImuGaps { intervals } => warn(
+            Self::ImuGaps { intervals } => unwanted(
                 "imu-gaps",
                 "IMU",
+                *intervals as f64,
+                "",
                 format!("samples are missing in {intervals} of the intervals between frames"),
             )
-            .value(*intervals as f64, "")
-            .limit(Limit::AtMost(0.0))
             .remedy("record the IMU without gaps"),
             Self::ImuPause {
                 after_secs,
@@ -86,62 +91,62 @@ impl GroundTruthWarning {
             .value(*secs, "s")
             .limit(Limit::AtMost(*longest_secs))
             .remedy("record the IMU without gaps"),
-            Self::DamagedImages { images } => warn(
+            Self::DamagedImages { images } => unwanted(
                 "damaged-images",
                 "images",
+                *images as f64,
+                "",
                 format!("{images} are damaged and were skipped"),
-            )
-            .value(*images as f64, "")
-            .limit(Limit::AtMost(0.0)),
-            Self::DamagedSamples { samples } => warn(
+            ),
+            Self::DamagedSamples { samples } => unwanted(
                 "damaged-samples",
                 "IMU",
+                *samples as f64,
+                "",
                 format!("{samples} are damaged or have the stamp of another sample, and were skipped"),
-            )
-            .value(*samples as f64, "")
-            .limit(Limit::AtMost(0.0)),
-            Self::RepeatedSamples { samples } => warn(
+            ),
+            Self::RepeatedSamples { samples } => unwanted(
                 "repeated-samples",
                 "IMU",
+                *samples as f64,
+                "",
                 format!("{samples} are duplicates, stamp and all, of another sample; each was used once"),
             )
-            .value(*samples as f64, "")
-            .limit(Limit::AtMost(0.0))
             .remedy("check what recorded it: messages were stored twice"),
-            Self::RepeatedStamps { images } => warn(
+            Self::RepeatedStamps { images } => unwanted(
                 "repeated-stamps",
                 "images",
+                *images as f64,
+                "",
                 format!("{images} have the stamp of another image of their camera and were not used"),
             )
-            .value(*images as f64, "")
-            .limit(Limit::AtMost(0.0))
             .remedy("stamp every image when it is taken"),
-            Self::FrozenImages { images } => warn(
+            Self::FrozenImages { images } => unwanted(
                 "frozen-images",
                 "images",
+                *images as f64,
+                "",
                 format!("{images} are duplicates of the previous image although the device moved, and were not used"),
             )
-            .value(*images as f64, "")
-            .limit(Limit::AtMost(0.0))
             .remedy("check the camera and its driver"),
-            Self::FrozenSamples { secs } => warn(
+            Self::FrozenSamples { secs } => unwanted(
                 "frozen-samples",
                 "IMU",
+                *secs,
+                "s",
                 format!("for {secs:.1} s a sensor repeats one reading although the device moved; these samples were not used"),
             )
-            .value(*secs, "s")
-            .limit(Limit::AtMost(0.0))
             .remedy("check the IMU and its driver"),
-            Self::PlaceNotChecked { secs } => warn(
+            Self::PlaceNotChecked { secs } => unwanted(
                 "place-not-checked",
                 "trajectory",
+                *secs,
+                "s",
                 format!(
                     "for {secs:.1} s too few map points were mapped from near the walk to \
                      distinguish this place from another built alike"
                 ),
             )
-            .value(*secs, "s")
-            .limit(Limit::AtMost(0.0))
             .remedy("walk where the scanner went, or make sure that no other place looks like it"),
             Self::LooksAlike { other } => warn(
                 "looks-alike",
@@ -310,9 +315,8 @@ impl Together {
             "{map_points} map points and {common_points} others that {walks} also saw moved poses by up to {:.1} mm",
             moved_m * 1e3
         );
-        found(Verdict::Warn.unless(limit.holds(*moved_sigmas)), what)
-            .value(*moved_sigmas, "σ")
-            .limit(limit)
+        found(Verdict::Warn, what)
+            .judged(*moved_sigmas, "σ", limit)
             .remedy("the walks contradict each other: solve each alone, and look at its findings")
     }
 }
@@ -361,10 +365,8 @@ impl GroundTruthReport {
                 false => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
                 true => {
                     let usual = Limit::AtMost(100.0 * USUAL_OF_ABSENT * self.max_absent_share);
-                    let verdict = Verdict::Warn.unless(usual.holds(absent));
-                    Finding::new("points-in-view", verdict, "trajectory", in_view)
-                        .value(absent, "%")
-                        .limit(usual)
+                    Finding::new("points-in-view", Verdict::Warn, "trajectory", in_view)
+                        .judged(absent, "%", usual)
                         .remedy("make sure that no other place looks like it, or map it again")
                 }
             },

@@ -112,9 +112,8 @@ impl ImuRefinement {
         );
         let largest = gyro.sigmas.max(accel.sigmas);
         let limit = Limit::AtMost(PULLED_SIGMAS);
-        Finding::new("imu-wander", Verdict::Warn.unless(limit.holds(largest)), "IMU", what)
-            .value(largest, "")
-            .limit(limit)
+        Finding::new("imu-wander", Verdict::Warn, "IMU", what)
+            .judged(largest, "", limit)
             .remedy("let the device warm up and avoid shocks; or increase the bias random walk in the rig file")
     }
 
@@ -125,7 +124,6 @@ impl ImuRefinement {
             return Finding::new("imu-swing", Verdict::Unknown, "IMU", what);
         };
         let limit = Limit::AtMost(LARGEST_SWING);
-        let verdict = Verdict::Warn.unless(limit.holds(swing.times_usual));
         let does = match swing.what {
             Swinging::Forces { m_s2, path_m } => format!(
                 "specific force oscillating by {m_s2:.2} m/s², and position by {:.2} mm",
@@ -144,9 +142,8 @@ impl ImuRefinement {
             swing.times_usual,
             1e3 * swing.noticed_from_m
         );
-        Finding::new("imu-swing", verdict, "IMU", what)
-            .value(swing.times_usual, "")
-            .limit(limit)
+        Finding::new("imu-swing", Verdict::Warn, "IMU", what)
+            .judged(swing.times_usual, "", limit)
             .remedy("mount the IMU rigidly to the cameras, and enable its anti-aliasing filter against vibration")
     }
 
@@ -157,10 +154,8 @@ impl ImuRefinement {
              covariances are computed with the noise increased by that factor",
             self.imu_left_sigmas
         );
-        let verdict = Verdict::Warn.unless(limit.holds(self.imu_left_sigmas));
-        Finding::new("imu-agreement", verdict, "IMU", what)
-            .value(self.imu_left_sigmas, "")
-            .limit(limit)
+        Finding::new("imu-agreement", Verdict::Warn, "IMU", what)
+            .judged(self.imu_left_sigmas, "", limit)
             .remedy("check the IMU's noise in the rig file, its axes, its range and its stamps; with a map, also the map's scale")
     }
 
@@ -174,10 +169,8 @@ impl ImuRefinement {
             "the accelerometer measures a gravity of {:.3} m/s², {share:+.1} % off the standard value on Earth",
             self.gravity_m_s2
         );
-        let verdict = Verdict::Warn.unless(limit.holds(share.abs()));
-        Finding::new("gravity", verdict, "IMU", what)
-            .value(share.abs(), "%")
-            .limit(limit)
+        Finding::new("gravity", Verdict::Warn, "IMU", what)
+            .judged(share.abs(), "%", limit)
             .remedy("only most of this error can be removed from the trajectory: calibrate the accelerometer's scale")
     }
 

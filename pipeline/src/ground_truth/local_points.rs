@@ -2,10 +2,9 @@
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
-use lsfb_types::{Progress, ProgressFn, Stopped};
+use lsfb_types::{ProgressFn, SharedProgress, Stopped};
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
@@ -66,7 +65,7 @@ impl LocalTracks {
             rays: &images[image].rays,
         };
         let wanted = wanted_pairs(walk, config);
-        let (done, total) = (AtomicU64::new(0), wanted.len() as u64);
+        let done = SharedProgress::new("local tracks", wanted.len(), progress);
         let pairs: Result<Vec<ImagePair>, Stopped> = wanted
             .into_par_iter()
             .map(|(first, second)| {
@@ -78,11 +77,7 @@ impl LocalTracks {
                     config.epipolar_tolerance_deg.to_radians(),
                     &config.matching,
                 );
-                progress(Progress {
-                    stage: "local tracks",
-                    done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                    total,
-                })?;
+                done.one_more()?;
                 Ok(ImagePair {
                     first,
                     second,

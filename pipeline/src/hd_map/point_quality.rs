@@ -6,6 +6,7 @@ use lsfb_perception::statistics::median;
 use rayon::prelude::*;
 
 use super::{HdMap, QualityColumns};
+use crate::worst_sigma::worst_sigma;
 
 /// Median of the distance of a two-dimensional normal distribution, in its σ per axis (a Rayleigh distribution's √(2 ln 2)).
 const MEDIAN_PER_SIGMA: f64 = 1.177_410_022_515_474_7;
@@ -28,14 +29,7 @@ pub struct PointQuality {
 impl PointQuality {
     /// Standard deviation in the direction in which the point is known worst, metres.
     pub fn worst_sigma_m(&self) -> f64 {
-        if !self.covariance_m2.iter().all(|v| v.is_finite()) {
-            return f64::INFINITY;
-        }
-        self.covariance_m2
-            .symmetric_eigenvalues()
-            .max()
-            .max(0.0)
-            .sqrt()
+        worst_sigma(&self.covariance_m2)
     }
 }
 

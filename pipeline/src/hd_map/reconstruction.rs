@@ -1,10 +1,9 @@
 //! Points from images whose poses are known: neighbours, matches, tracks, triangulation.
 
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
-use lsfb_types::{Progress, ProgressFn, Stopped};
+use lsfb_types::{ProgressFn, SharedProgress, Stopped};
 use rayon::prelude::*;
 
 use super::contradicted::contradicted;
@@ -84,16 +83,12 @@ pub fn find_tracks(
         .collect::<Result<_, _>>()?;
     let depth = depth_of(&prepared, config)?;
     let pairs = choose_pairs(&prepared, depth, config);
-    let done = AtomicU64::new(0);
+    let done = SharedProgress::new("image matching", pairs.len(), progress);
     let matched: Result<Vec<ImagePair>, Stopped> = pairs
         .par_iter()
         .map(|&(first, second)| {
             let pair = match_pair(&prepared, first, second, config);
-            progress(Progress {
-                stage: "image matching",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: pairs.len() as u64,
-            })?;
+            done.one_more()?;
             Ok(pair)
         })
         .collect();

@@ -1,11 +1,10 @@
 //! What a walk's IMU and its other poses say of an instant that was not localized.
 
 use lsfb_geometry::{Matrix6, Se3};
-use lsfb_types::{ImuSample, Stamped, Timestamp, median};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp, median};
 
 use super::prior::{ExpectedPose, PoseKnowledge, Up};
 use super::sequence::localized_shares;
-use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NO_WEIGHT, PreintegratedImu};
 
 /// The accelerometer is averaged over this much time, half before and half after: who walks neither speeds up nor slows down for long.
@@ -48,7 +47,7 @@ impl<'a> WalkMotion<'a> {
         let before = before.rotation.inverse() * before.velocity_m_s / before.duration_secs;
         let after = after.velocity_m_s / after.duration_secs;
         let mean = (before + after) / 2.0;
-        if (mean.norm() - GRAVITY_M_S2).abs() > LARGEST_OFF_M_S2 {
+        if (mean.norm() - STANDARD_GRAVITY_M_S2).abs() > LARGEST_OFF_M_S2 {
             return None;
         }
         Some(Up {
@@ -158,7 +157,7 @@ mod tests {
         let sample = |k: i32| {
             let secs = 0.005 * f64::from(k);
             let sign = if secs.fract() < 0.5 { 1.0 } else { -1.0 };
-            let force = Vector3::new(sign * shaken_m_s2, 0.0, GRAVITY_M_S2);
+            let force = Vector3::new(sign * shaken_m_s2, 0.0, STANDARD_GRAVITY_M_S2);
             let force = world_from_rig(secs).rotation.inverse() * force;
             Stamped {
                 time: at(secs),

@@ -8,6 +8,8 @@ use std::f64::consts::PI;
 
 use lsfb_geometry::{Matrix6, Se3, Vector3};
 
+use crate::worst_sigma::worst_sigmas;
+
 /// What is known of a pose beforehand; nothing by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoseKnowledge {
@@ -57,11 +59,7 @@ impl Up {
 impl ExpectedPose {
     /// The largest angle and distance of a pose that agrees.
     fn most(&self) -> [f64; 2] {
-        [0, 3].map(|first| {
-            let block = self.covariance.fixed_view::<3, 3>(first, first);
-            let largest = block.symmetric_eigenvalues().max().max(0.0);
-            MOST_SIGMAS * largest.sqrt()
-        })
+        worst_sigmas(&self.covariance).map(|sigma| MOST_SIGMAS * sigma)
     }
 
     fn contradicts(&self, world_from_rig: &Se3) -> bool {

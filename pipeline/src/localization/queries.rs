@@ -1,11 +1,10 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Rig, Se3};
 use lsfb_perception::image::ImageError;
 use lsfb_recording::Recording;
-use lsfb_types::{ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{ImuSample, ProgressFn, SharedProgress, Stamped, Timestamp};
 use rayon::prelude::*;
 
 use super::expected::{WalkMotion, knowledge};
@@ -140,7 +139,7 @@ pub fn localize_images(
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
     localizer.map().expect_feature(&detector.feature())?;
-    let done = AtomicU64::new(0);
+    let done = SharedProgress::new("localization", images.len(), progress);
     let localized = images.par_iter().map_init(
         || detector.clone(),
         |detector, image| {
@@ -176,11 +175,7 @@ pub fn localize_images(
                 }),
                 Err(error) => return Err(error),
             };
-            progress(Progress {
-                stage: "localization",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: images.len() as u64,
-            })?;
+            done.one_more()?;
             Ok(found)
         },
     );
@@ -363,15 +358,11 @@ fn localize_parts(
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
     let mut found = Vec::with_capacity(frames.len());
     for (number, part) in frames.chunks(PART).enumerate() {
-        let done = AtomicU64::new(found.len() as u64);
+        let done = SharedProgress::new("localization", frames.len(), progress).after(found.len());
         let of_part: Vec<_> = stages.once(&format!("{name}_{number:05}"), || {
             let localized = part.par_iter().map(|(frame, known)| {
                 let found = localizer.localize_known(&frame.features, rig, known);
-                progress(Progress {
-                    stage: "localization",
-                    done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                    total: frames.len() as u64,
-                })?;
+                done.one_more()?;
                 Ok(found)
             });
             localized.collect::<Result<Vec<_>, Error>>()

@@ -8,6 +8,7 @@ use super::ways::Way;
 use super::{Loop, LoopDecision, LoopRejection, LoopScores, MeasuredLoop};
 use crate::odometry::OdometryConfig;
 use crate::place_search::{self, Query, Region};
+use crate::worst_sigma::worst_sigmas;
 
 /// What the odometry may drift besides what its covariance says, as a share of the way: errors of the rig are not in that, and the twin's
 /// walks drift by less than half as much.
@@ -158,23 +159,21 @@ struct Open {
 
 impl Open {
     fn of(earlier: &Keyframe, way: &Way) -> Self {
-        let place = |covariance: &Matrix6<f64>| -> Matrix3<f64> {
-            covariance.fixed_view::<3, 3>(3, 3).into()
-        };
+        let of_place: Matrix3<f64> = way.covariance.fixed_view::<3, 3>(3, 3).into();
         let up = (earlier.world_from_rig.rotation * way.here_from_target.rotation).inverse()
             * Vector3::z();
-        let height_sigma_m = up.dot(&(place(&way.covariance) * up)).max(0.0).sqrt();
+        let height_sigma_m = up.dot(&(of_place * up)).max(0.0).sqrt();
         let mut covariance = way.covariance;
         let (turn, shift) = (DRIFT_RAD_PER_M * way.length_m, DRIFT_SHARE * way.length_m);
         for k in 0..3 {
             covariance[(k, k)] += turn * turn;
             covariance[(k + 3, k + 3)] += shift * shift;
         }
-        let worst = place(&covariance).symmetric_eigenvalues().max().max(0.0);
+        let [_, worst_sigma_m] = worst_sigmas(&covariance);
         Self {
             earlier_from_later: way.here_from_target,
             covariance,
-            worst_sigma_m: worst.sqrt(),
+            worst_sigma_m,
             height_sigma_m,
             rise_m: (earlier.world_from_rig.rotation * way.here_from_target.translation).z,
         }
@@ -205,16 +204,9 @@ impl Open {
 /// A registered place with its standard deviations; `None` where a direction is not seen at all.
 fn measured(place: &Registration, information: &Matrix6<f64>) -> Option<MeasuredLoop> {
     let covariance = information.cholesky()?.inverse();
-    let sigma = |at: usize, shared: f64| {
-        let block: Matrix3<f64> = covariance.fixed_view::<3, 3>(at, at).into();
-        block
-            .symmetric_eigenvalues()
-            .max()
-            .max(0.0)
-            .sqrt()
-            .hypot(shared)
-    };
-    let (rotation_sigma_rad, translation_sigma_m) = (sigma(0, SHARED_RAD), sigma(3, SHARED_M));
+    let [turn_rad, shift_m] = worst_sigmas(&covariance);
+    let rotation_sigma_rad = turn_rad.hypot(SHARED_RAD);
+    let translation_sigma_m = shift_m.hypot(SHARED_M);
     let is_finite = rotation_sigma_rad.is_finite() && translation_sigma_m.is_finite();
     is_finite.then_some(MeasuredLoop {
         earlier_from_later: place.world_from_rig,

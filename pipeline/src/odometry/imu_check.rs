@@ -1,8 +1,6 @@
 //! Whether the numbers of an IMU can be what they are taken for: m/s² and rad/s.
 
-use lsfb_types::{ImuSample, Stamped};
-
-use super::GRAVITY_M_S2;
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped};
 
 /// What a carrier feels on average lies so near to gravity, as a share of it: nobody falls or is thrown for a whole recording.
 const NEAR_GRAVITY: std::ops::RangeInclusive<f64> = 0.8..=1.3;
@@ -44,12 +42,14 @@ pub(crate) fn mend_units(samples: &mut [Stamped<ImuSample>]) -> ImuUnits {
             ),
         };
     }
-    if NEAR_GRAVITY.contains(&(mean / GRAVITY_M_S2)) {
+    if NEAR_GRAVITY.contains(&(mean / STANDARD_GRAVITY_M_S2)) {
         ImuUnits::Right
     } else if NEAR_GRAVITY.contains(&mean) {
         for sample in samples {
-            sample.sample.specific_force_m_s2 =
-                sample.sample.specific_force_m_s2.map(|c| c * GRAVITY_M_S2);
+            sample.sample.specific_force_m_s2 = sample
+                .sample
+                .specific_force_m_s2
+                .map(|c| c * STANDARD_GRAVITY_M_S2);
         }
         ImuUnits::Gravities
     } else {
@@ -85,7 +85,7 @@ mod tests {
         let mut in_gravities = samples(1.01, 1.0);
         assert_eq!(mend_units(&mut in_gravities), ImuUnits::Gravities);
         let force = in_gravities[0].sample.specific_force_m_s2;
-        assert!((force[2] + 0.8 * 1.01 * GRAVITY_M_S2).abs() < 1e-9);
+        assert!((force[2] + 0.8 * 1.01 * STANDARD_GRAVITY_M_S2).abs() < 1e-9);
         let mut right = samples(10.3, 3.0);
         assert_eq!(mend_units(&mut right), ImuUnits::Right);
         assert_eq!(right, samples(10.3, 3.0));

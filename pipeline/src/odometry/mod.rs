@@ -43,7 +43,7 @@ pub use config::OdometryConfig;
 pub use degeneracy::{MotionKind, Unseen};
 pub(crate) use imu_check::{ImuUnits, mend_units};
 pub(crate) use imu_pauses::imu_pauses;
-pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
+pub use inertial::{InertialFilter, InertialState};
 pub use online::OnlineOdometry;
 pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;

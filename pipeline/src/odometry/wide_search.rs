@@ -22,6 +22,7 @@ use super::free_space::PASSED_M;
 use super::motion::{Motion, end_pose};
 use super::{Odometry, ReducedScan};
 use crate::place_search::{self, Places, Query, Region};
+use crate::worst_sigma::worst_sigmas;
 
 /// From nearer than this a registration finds its way by itself, metres (three standard deviations of the prediction).
 const SURE_REACH_M: f64 = 0.75;
@@ -230,8 +231,8 @@ impl Odometry {
 /// Standard deviation of the predicted place in its worst direction, metres.
 fn sigma_m(prior: &PosePrior) -> Option<f64> {
     let covariance = prior.information.cholesky()?.inverse();
-    let of_place: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into();
-    Some(of_place.symmetric_eigenvalues().max().max(0.0).sqrt())
+    let [_, place_m] = worst_sigmas(&covariance);
+    Some(place_m)
 }
 
 /// Whether the best place is good, and no other that may be meant is nearly as good.

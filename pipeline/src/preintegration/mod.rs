@@ -4,20 +4,22 @@
 //! TRO 2017. Between samples angular velocity and specific force are straight lines. Along these the motion is integrated to fourth order in the
 //! sample period: rotations by the Magnus expansion, velocity and position by Gauss' rule. The noise takes the force
 //! and the rotation in the middle of each piece.
+//!
+//! Factors of an optimisation sum up many pieces; the odometry's filter takes one at a time.
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
-use lsfb_types::{ImuSample, Stamped, Timestamp};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 use nalgebra::{SMatrix, Vector6};
 
 use crate::Error;
-use crate::odometry::GRAVITY_M_S2;
+use crate::imu_reading::Reading;
 
 /// 9 × 9, ordered rotation, velocity, position.
 pub type Matrix9 = SMatrix<f64, 9, 9>;
 
 /// Gravity in a level world, z up, m/s².
 pub fn standard_gravity_m_s2() -> Vector3<f64> {
-    Vector3::new(0.0, 0.0, -GRAVITY_M_S2)
+    Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2)
 }
 
 /// Constant errors of the IMU over a short time.
@@ -231,39 +233,6 @@ impl Turning {
     }
 }
 
-/// A sample as vectors.
-#[derive(Clone, Copy)]
-struct Reading {
-    time: Timestamp,
-    gyro: Vector3<f64>,
-    accel: Vector3<f64>,
-}
-
-impl Reading {
-    fn of(sample: &Stamped<ImuSample>) -> Self {
-        Self {
-            time: sample.time,
-            gyro: sample.sample.angular_velocity_rad_s.into(),
-            accel: sample.sample.specific_force_m_s2.into(),
-        }
-    }
-
-    /// On the straight line to `next`; held outside.
-    fn towards(&self, next: &Self, time: Timestamp) -> Self {
-        let span = next.time.secs_since(self.time);
-        let share = if span > 0.0 {
-            (time.secs_since(self.time) / span).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        Self {
-            time,
-            gyro: self.gyro + (next.gyro - self.gyro) * share,
-            accel: self.accel + (next.accel - self.accel) * share,
-        }
-    }
-}
-
 /// Stands for the noise of an IMU whose samples are weighed against nothing, or that is not there.
 pub(crate) const NO_WEIGHT: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1e-3,
@@ -310,7 +279,7 @@ impl PreintegratedImu {
             .get(first..(last + 1).min(samples.len()))
             .unwrap_or_default()
             .iter()
-            .map(Reading::of)
+            .map(Reading::from)
             .collect();
         check_coverage(&readings, start, end)?;
 
@@ -324,27 +293,30 @@ impl PreintegratedImu {
                 pair[1].time
             };
             if to > from {
-                let a = pair[0].towards(&pair[1], from);
-                let b = pair[0].towards(&pair[1], to);
-                sum.advance(
-                    to.secs_since(from),
-                    [&a.gyro, &b.gyro],
-                    [&a.accel, &b.accel],
-                    noise,
-                );
+                let [from, to] = [from, to].map(|t| Reading::between(&pair[0], &pair[1], t));
+                sum.advance(&from, &to, noise);
             }
         }
         Ok(sum)
     }
 
-    /// Adds one piece, by angular velocity and specific force at its ends. Eq. (35)–(43), (A.9) with the middle rotation.
-    fn advance(
-        &mut self,
-        dt: f64,
-        gyro: [&Vector3<f64>; 2],
-        accel: [&Vector3<f64>; 2],
+    /// The one piece between two readings, however long.
+    pub(crate) fn between(
+        from: &Reading,
+        to: &Reading,
+        bias: ImuBias,
         noise: &ImuNoiseModel,
-    ) {
+    ) -> Self {
+        let mut piece = Self::nothing(bias);
+        piece.advance(from, to, noise);
+        piece
+    }
+
+    /// Adds the piece between two readings. Eq. (35)–(43), (A.9) with the middle rotation.
+    fn advance(&mut self, from: &Reading, to: &Reading, noise: &ImuNoiseModel) {
+        let dt = to.time.secs_since(from.time);
+        let gyro = [from.angular_velocity, to.angular_velocity];
+        let accel = [from.specific_force, to.specific_force];
         let rate = (gyro[0] + gyro[1]) * 0.5 - self.bias.gyro_rad_s;
         let turning = Turning::of(gyro.map(|read| read - self.bias.gyro_rad_s), dt);
         let angle = turning.until(dt);

@@ -126,11 +126,14 @@ fn integrated_at_one_megahertz(
         let nanos = k * 1000 + 500;
         let after = samples.partition_point(|s| s.time.nanos() <= nanos);
         let (a, b) = (
-            Reading::of(&samples[after - 1]),
-            Reading::of(&samples[after]),
+            Reading::from(&samples[after - 1]),
+            Reading::from(&samples[after]),
         );
-        let read = a.towards(&b, Timestamp::from_nanos(nanos));
-        let (rate, force) = (read.gyro - bias.gyro_rad_s, read.accel - bias.accel_m_s2);
+        let read = Reading::between(&a, &b, Timestamp::from_nanos(nanos));
+        let (rate, force) = (
+            read.angular_velocity - bias.gyro_rad_s,
+            read.specific_force - bias.accel_m_s2,
+        );
         let middle = rotation * so3::exp(&(rate * (0.5 * secs)));
         let gained = middle * force * secs;
         position += velocity * secs + gained * (0.5 * secs);

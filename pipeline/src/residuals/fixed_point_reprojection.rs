@@ -38,15 +38,7 @@ impl Residual for FixedPointReprojection {
         let (row_px, point) = (self.pixel.y, &self.point_in_world);
         let camera = &self.camera;
         let sight = camera.sight(&pose, &self.motion, &correction, row_px, point);
-        let weight = 1.0 / self.sigma_px;
-        if !out.wants_jacobians() {
-            out.set_residual(&((sight.pixel()? - self.pixel) * weight));
-            return Ok(());
-        }
-        let seen = sight.see(out.wants_jacobian(1))?;
-        out.set_residual(&((seen.pixel - self.pixel) * weight));
-        out.set_jacobian(0, &(seen.by_pose * weight));
-        out.set_jacobian(1, &(seen.by_correction * weight));
+        sight.reproject(&self.pixel, self.sigma_px, out)?;
         Ok(())
     }
 }

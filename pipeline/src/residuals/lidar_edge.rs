@@ -1,5 +1,5 @@
 use lsfb_geometry::{Se3, Vector3, so3};
-use lsfb_perception::projection::{moved_by_inverse, moved_by_pose};
+use lsfb_perception::projection::{by_pose_of_inverse, moved_by_pose};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
 /// Eq. (4), second term: a point of keyframe n on an edge of keyframe m,
@@ -42,7 +42,7 @@ impl Residual for LidarEdge {
             return Ok(());
         }
         // ∂p/∂δm = [[p]×, −I]
-        out.set_jacobian(0, &(across * moved_by_inverse(&p)));
+        out.set_jacobian(0, &by_pose_of_inverse(&across, &p));
         // ∂p/∂δn = R [−[ⁿp]×, I]
         out.set_jacobian(1, &(across * moved_by_pose(&m_from_n, &self.point_in_n)));
         Ok(())

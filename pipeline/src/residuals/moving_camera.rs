@@ -5,8 +5,8 @@ use lsfb_geometry::{
     Camera, CameraSigmas, CameraTiming, Matrix2x3, Matrix2x6, Matrix3, RigCamera, Se3, Vector2,
     Vector3, so3,
 };
-use lsfb_perception::projection::moved_by_inverse;
-use lsfb_solver::Undefined;
+use lsfb_perception::projection::by_pose_of_inverse;
+use lsfb_solver::{Linearization, Undefined};
 use nalgebra::{SMatrix, SVector};
 
 /// How far a camera is from what the rig file says of it: turn (radians) and shift (metres) of the camera frame, both in its own axes
@@ -307,10 +307,29 @@ impl Sight<'_> {
         }
         Ok(SeenInMotion {
             pixel: self.magnified(&projection.pixel),
-            by_pose: by_stamp * moved_by_inverse(&self.at_stamp_y),
+            by_pose: by_pose_of_inverse(&by_stamp, &self.at_stamp_y),
             by_correction,
             by_point: by_stamp * self.stamp_from_world,
         })
+    }
+
+    /// Writes `(π(X) − x) / σ` with its derivatives by pose and correction, blocks 0 and 1; gives that by the point where derivatives are wanted.
+    pub(super) fn reproject(
+        &self,
+        pixel: &Vector2<f64>,
+        sigma_px: f64,
+        out: &mut Linearization<'_>,
+    ) -> Result<Option<Matrix2x3<f64>>, Undefined> {
+        let weight = 1.0 / sigma_px;
+        if !out.wants_jacobians() {
+            out.set_residual(&((self.pixel()? - pixel) * weight));
+            return Ok(None);
+        }
+        let seen = self.see(out.wants_jacobian(1))?;
+        out.set_residual(&((seen.pixel - pixel) * weight));
+        out.set_jacobian(0, &(seen.by_pose * weight));
+        out.set_jacobian(1, &(seen.by_correction * weight));
+        Ok(Some(seen.by_point * weight))
     }
 }
 

@@ -43,16 +43,9 @@ impl Residual for MovingReprojection {
         let row_px = self.pixel.y;
         let camera = &self.camera;
         let sight = camera.sight(&pose, &self.motion, &correction, row_px, &point);
-        let weight = 1.0 / self.sigma_px;
-        if !out.wants_jacobians() {
-            out.set_residual(&((sight.pixel()? - self.pixel) * weight));
-            return Ok(());
+        if let Some(by_point) = sight.reproject(&self.pixel, self.sigma_px, out)? {
+            out.set_jacobian(2, &by_point);
         }
-        let seen = sight.see(out.wants_jacobian(1))?;
-        out.set_residual(&((seen.pixel - self.pixel) * weight));
-        out.set_jacobian(0, &(seen.by_pose * weight));
-        out.set_jacobian(1, &(seen.by_correction * weight));
-        out.set_jacobian(2, &(seen.by_point * weight));
         Ok(())
     }
 }

@@ -86,15 +86,7 @@ pub fn judge_measured(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> 
     if let Some([_, most_px]) = measured.blur_px {
         let limit = Limit::AtMost(MOST_BLUR_PX);
         let what = format!("95 % of the images are blurred by at most {most_px:.1} px");
-        findings.push(judged(
-            "blur",
-            Verdict::Warn,
-            name,
-            &what,
-            most_px,
-            "px",
-            limit,
-        ));
+        findings.push(Finding::new("blur", Verdict::Warn, name, what).judged(most_px, "px", limit));
     }
     findings
 }
@@ -120,23 +112,13 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
         let off = (camera.frames as f64 / f64::from(planned.frames.max(1)) - 1.0).abs();
         let what = format!("{} images, {} planned", camera.frames, planned.frames);
         let limit = Limit::AtMost(100.0 * off_frames);
-        findings.push(judged(
-            "frames",
-            Verdict::Fail,
-            &subject,
-            &what,
-            100.0 * off,
-            "%",
-            limit,
-        ));
+        findings.push(
+            Finding::new("frames", Verdict::Fail, &subject, what).judged(100.0 * off, "%", limit),
+        );
         let off = (camera.rate_hz / rate_hz - 1.0).abs();
         let what = format!("{:.2} images per second, {rate_hz} planned", camera.rate_hz);
         let limit = Limit::AtMost(100.0 * OFF_RATE);
-        findings.push(judged(
-            "rate",
-            Verdict::Fail,
-            &subject,
-            &what,
+        findings.push(Finding::new("rate", Verdict::Fail, &subject, what).judged(
             100.0 * off,
             "%",
             limit,
@@ -147,11 +129,7 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
             1 => "one stamp is not later than the previous one".to_owned(),
             n => format!("{n} stamps are not later than the previous ones"),
         };
-        let rise = judged(
-            "stamps",
-            Verdict::Fail,
-            &subject,
-            &what,
+        let rise = Finding::new("stamps", Verdict::Fail, &subject, what).judged(
             back,
             "",
             Limit::AtMost(0.0),
@@ -160,15 +138,7 @@ fn images(measured: &SequenceFigures, rate_hz: f64) -> Vec<Finding> {
         let gap_s = camera.longest_gap_s;
         let what = format!("{} gaps, the longest {gap_s:.2} s", camera.gaps);
         let limit = Limit::AtMost(LONGEST_GAP_S);
-        findings.push(judged(
-            "gap",
-            Verdict::Warn,
-            &subject,
-            &what,
-            gap_s,
-            "s",
-            limit,
-        ));
+        findings.push(Finding::new("gap", Verdict::Warn, &subject, what).judged(gap_s, "s", limit));
     }
     findings
 }
@@ -184,23 +154,12 @@ fn motions(measured: &SequenceFigures, motion: &MotionFigures) -> Vec<Finding> {
     let top_m_s = motion.top_speed_m_s;
     let limit = Limit::AtMost(Speeds::of(planned.gait).top_m_s);
     let what = format!("{top_m_s:.2} m/s over half a second");
-    findings.push(judged(
-        "top-speed",
-        Verdict::Fail,
-        name,
-        &what,
-        top_m_s,
-        "m/s",
-        limit,
-    ));
+    findings
+        .push(Finding::new("top-speed", Verdict::Fail, name, what).judged(top_m_s, "m/s", limit));
     let [_, _, turning_deg_s] = motion.turning_deg_s;
     let limit = Limit::AtMost(FASTEST_TURN_DEG_S);
     let what = format!("rotates at up to {turning_deg_s:.0} °/s");
-    findings.push(judged(
-        "turning",
-        Verdict::Fail,
-        name,
-        &what,
+    findings.push(Finding::new("turning", Verdict::Fail, name, what).judged(
         turning_deg_s,
         "°/s",
         limit,
@@ -208,15 +167,7 @@ fn motions(measured: &SequenceFigures, motion: &MotionFigures) -> Vec<Finding> {
     let gap_s = motion.longest_gap_s;
     let limit = Limit::AtMost(LONGEST_GAP_S);
     let what = format!("gaps between true poses are up to {gap_s:.2} s");
-    findings.push(judged(
-        "truth-gap",
-        Verdict::Warn,
-        name,
-        &what,
-        gap_s,
-        "s",
-        limit,
-    ));
+    findings.push(Finding::new("truth-gap", Verdict::Warn, name, what).judged(gap_s, "s", limit));
     let [_, off_length] = OFF_PLAN;
     let off = (motion.length_m / planned.length_m - 1.0).abs();
     let what = format!(
@@ -224,11 +175,7 @@ fn motions(measured: &SequenceFigures, motion: &MotionFigures) -> Vec<Finding> {
         motion.length_m, planned.length_m
     );
     let limit = Limit::AtMost(100.0 * off_length);
-    findings.push(judged(
-        "length",
-        Verdict::Warn,
-        name,
-        &what,
+    findings.push(Finding::new("length", Verdict::Warn, name, what).judged(
         100.0 * off,
         "%",
         limit,
@@ -262,28 +209,7 @@ fn mean_speed(name: &str, gait: Gait, mean_m_s: f64, what: &str) -> Finding {
         true => Limit::AtLeast(least),
         false => Limit::AtMost(most),
     };
-    judged(
-        "mean-speed",
-        Verdict::Fail,
-        name,
-        what,
-        mean_m_s,
-        "m/s",
-        limit,
-    )
-    .remedy("check the length, the number of images and the stamps")
-}
-
-fn judged(
-    code: &'static str,
-    wrong: Verdict,
-    name: &str,
-    what: &str,
-    value: f64,
-    unit: &'static str,
-    limit: Limit,
-) -> Finding {
-    Finding::new(code, wrong.unless(limit.holds(value)), name, what)
-        .value(value, unit)
-        .limit(limit)
+    Finding::new("mean-speed", Verdict::Fail, name, what)
+        .judged(mean_m_s, "m/s", limit)
+        .remedy("check the length, the number of images and the stamps")
 }

@@ -10,7 +10,7 @@ mod relative;
 mod remarks;
 
 use lsfb_geometry::align::Alignment;
-use lsfb_geometry::{Matrix6, StampedPose, Trajectory};
+use lsfb_geometry::{Matrix6, StampedPose, Trajectory, path_length_m};
 
 use crate::alignment::{AlignmentMode, align, apply};
 use crate::association::{PosePair, associate};
@@ -134,8 +134,8 @@ fn judge(
             &translation,
             config.coverage_gap_secs,
         ),
-        truth_path_m: path_m(truth),
-        estimate_path_m: path_m(estimate),
+        truth_path_m: path_length_m(truth),
+        estimate_path_m: path_length_m(estimate),
         alignment: config.alignment.label(),
         alignment_rotation_xyzw: alignment
             .target_from_source
@@ -248,13 +248,6 @@ fn statistics(errors: &[f64]) -> Result<Statistics, Error> {
 fn sim3_scale(pairs: &[PosePair]) -> Option<f64> {
     let scale = align(pairs, AlignmentMode::Sim3).ok()?.scale;
     (scale > 0.0).then_some(scale)
-}
-
-fn path_m(poses: &[StampedPose]) -> f64 {
-    poses
-        .windows(2)
-        .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm())
-        .sum()
 }
 
 #[cfg(test)]

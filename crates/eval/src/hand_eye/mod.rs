@@ -12,7 +12,7 @@ mod refine;
 mod residual;
 mod truth;
 
-use lsfb_geometry::{Se3, StampedPose, Vector3};
+use lsfb_geometry::{Se3, StampedPose, Vector3, mean_position};
 use lsfb_types::Finding;
 use serde::Serialize;
 
@@ -135,7 +135,7 @@ pub fn align_trajectories(
     let base = estimate[0].time;
     let sizes_m = [scatter_m(estimate), scatter_m(reference)];
     // Around their own middles coordinates of surveyors keep their digits.
-    let (estimate_middle, reference_middle) = (middle(estimate), middle(reference));
+    let (estimate_middle, reference_middle) = (mean_position(estimate), mean_position(reference));
     let estimate = Continuous::new(&moved(estimate, &-estimate_middle), base);
     let reference = Continuous::new(&moved(reference, &-reference_middle), base);
     let found = correlate(
@@ -186,7 +186,7 @@ pub fn align_trajectories(
 
 /// How positions scatter about their mean, rms, metres.
 fn scatter_m(poses: &[StampedPose]) -> f64 {
-    let mean = middle(poses);
+    let mean = mean_position(poses);
     let squares = poses
         .iter()
         .map(|p| (p.world_from_rig.translation - mean).norm_squared());
@@ -195,11 +195,6 @@ fn scatter_m(poses: &[StampedPose]) -> f64 {
 
 fn statistics(values: &[f64]) -> Result<Statistics, Error> {
     Statistics::of(values).ok_or(Error::Degenerate)
-}
-
-fn middle(poses: &[StampedPose]) -> Vector3<f64> {
-    let places = poses.iter().map(|p| p.world_from_rig.translation);
-    places.sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
 
 fn shift(by: &Vector3<f64>) -> Se3 {

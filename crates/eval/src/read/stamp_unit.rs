@@ -1,6 +1,6 @@
 //! In which unit a file gives its stamps.
 
-use lsfb_geometry::StampedPose;
+use lsfb_geometry::{StampedPose, path_length_m};
 use lsfb_types::{StampUnit, median};
 
 /// Poses come faster than the one and slower than the other wherever stamps are what they seem.
@@ -70,10 +70,7 @@ pub(super) fn speed_in_milliseconds_m_s(poses: &[StampedPose]) -> Option<f64> {
         .windows(2)
         .map(|w| w[1].time.secs_since(w[0].time))
         .collect();
-    let lengths = poses
-        .windows(2)
-        .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm());
-    let speed_m_s = lengths.sum::<f64>() / secs.iter().sum::<f64>();
+    let speed_m_s = path_length_m(poses) / secs.iter().sum::<f64>();
     let faster_m_s = 1000.0 * speed_m_s;
     let is_slow = median(secs).is_some_and(|step| step >= SLOW_STEP_SECS);
     (is_slow && speed_m_s < RESTING_M_S && SPEEDS_M_S.contains(&faster_m_s)).then_some(faster_m_s)

@@ -41,10 +41,9 @@ impl Figure {
     /// Whether it keeps its limit; `None` where it has none.
     pub fn finding(&self) -> Option<Finding> {
         let limit = self.limit?;
-        let verdict = Verdict::Warn.unless(limit.holds(self.value));
         let found = with_unit(&significant(self.value), self.unit);
-        let finding = Finding::new("figure", verdict, self.name.clone(), found);
-        Some(finding.value(self.value, self.unit).limit(limit))
+        let finding = Finding::new("figure", Verdict::Warn, self.name.clone(), found);
+        Some(finding.judged(self.value, self.unit, limit))
     }
 }
 

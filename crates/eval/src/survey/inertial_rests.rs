@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use lsfb_geometry::{StampedPose, Vector3};
-use lsfb_types::{Finding, ImuSample, Stamped, Timestamp, Verdict};
+use lsfb_types::{Finding, ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp, Verdict};
 
 use super::rests::{Rest, RestConfig, runs_of, spread, still_poses};
 use crate::Error;
@@ -20,7 +20,6 @@ const GYRO_MEAN_RAD_S: f64 = 0.1;
 const ACCEL_SCATTER_M_S2: f64 = 0.1;
 /// By how much the mean specific force may miss gravity, m/s²: more is an even acceleration.
 const OFF_GRAVITY_M_S2: f64 = 0.5;
-const GRAVITY_M_S2: f64 = 9.81;
 /// Poses that a rest must have.
 const LEAST_POSES: usize = 5;
 
@@ -122,7 +121,7 @@ fn rests(window: &[Stamped<ImuSample>]) -> bool {
     turn <= GYRO_MEAN_RAD_S
         && turn_scatter <= GYRO_SCATTER_RAD_S
         && force_scatter <= ACCEL_SCATTER_M_S2
-        && (force - GRAVITY_M_S2).abs() <= OFF_GRAVITY_M_S2
+        && (force - STANDARD_GRAVITY_M_S2).abs() <= OFF_GRAVITY_M_S2
 }
 
 fn since_first(time: Timestamp, poses: &[StampedPose]) -> f64 {

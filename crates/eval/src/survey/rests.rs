@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use lsfb_geometry::{StampedPose, Vector3, so3};
+use lsfb_geometry::{StampedPose, Vector3, mean_position, so3};
 use lsfb_types::{Bounds, Timestamp};
 
 /// What a rest is.
@@ -95,13 +95,8 @@ pub(super) fn still_poses(poses: &[StampedPose], config: &RestConfig) -> Vec<boo
     is_rest
 }
 
-fn mean(poses: &[StampedPose]) -> Vector3<f64> {
-    let places = poses.iter().map(|p| p.world_from_rig.translation);
-    places.sum::<Vector3<f64>>() / poses.len() as f64
-}
-
 fn is_still(poses: &[StampedPose], config: &RestConfig) -> bool {
-    let mean = mean(poses);
+    let mean = mean_position(poses);
     let first = poses[0].world_from_rig.rotation;
     poses.iter().all(|p| {
         let turn = so3::log(&(first.inverse() * p.world_from_rig.rotation)).norm();
@@ -125,7 +120,7 @@ pub(super) struct Spread {
 /// `None` without a pose.
 pub(super) fn spread(poses: &[StampedPose]) -> Option<Spread> {
     let (first, last) = (poses.first()?, poses.last()?);
-    let place = mean(poses);
+    let place = mean_position(poses);
     let squares = poses
         .iter()
         .map(|p| (p.world_from_rig.translation - place).norm_squared());

@@ -254,7 +254,7 @@ impl Incremental {
         let mut values = self.problem.values.clone();
         for (block, entry) in self.problem.blocks.iter().enumerate() {
             if self.kept.steps.part(block) == Part::Point {
-                let stored = &mut values[entry.start..entry.start + entry.shape.stored];
+                let stored = &mut values[entry.stored()];
                 self.kept.estimate_of(&self.problem, block, stored);
             }
         }

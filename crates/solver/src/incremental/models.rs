@@ -3,7 +3,7 @@
 use crate::evaluation::squared_norm;
 use crate::kernels::{multiply_add, vectorized};
 use crate::problem::{Problem, ResidualId};
-use crate::residual::{CONSTANT, Linearization, NO_PAIR, Parameters, Slot};
+use crate::residual::{CONSTANT, Linearization, Parameters, Slot};
 use crate::{Error, Kernel, Undefined};
 
 use super::marks::Marks;
@@ -184,7 +184,7 @@ impl Models {
         let mut next = dimension;
         for block in problem.blocks_of(ResidualId(k)) {
             let entry = &problem.blocks[block.0];
-            let stored = &problem.values[entry.start..entry.start + entry.shape.stored];
+            let stored = &problem.values[entry.stored()];
             if !stored.iter().all(|x| x.is_finite()) {
                 self.slots.truncate(first);
                 self.terms.truncate(first);
@@ -199,14 +199,7 @@ impl Models {
                 jacobian,
             });
             next += dimension * length;
-            self.slots.push(Slot {
-                value: entry.start,
-                mask: entry.mask,
-                block: block.0 as u32,
-                jacobian,
-                pair: NO_PAIR,
-                couplings: [0; 2],
-            });
+            self.slots.push(problem.slot(*block, jacobian));
         }
         self.models[k] = Model {
             slots: [first as u32, self.slots.len() as u32],
@@ -410,14 +403,7 @@ impl Models {
         let slots: Vec<Slot> = problem
             .blocks_of(ResidualId(k))
             .iter()
-            .map(|block| Slot {
-                value: problem.blocks[block.0].start,
-                mask: 0,
-                block: block.0 as u32,
-                jacobian: CONSTANT,
-                pair: NO_PAIR,
-                couplings: [0; 2],
-            })
+            .map(|block| problem.slot(*block, CONSTANT))
             .collect();
         let mut record = vec![0.0; entry.rows()];
         let mut out = Linearization {

@@ -81,7 +81,7 @@ impl Kept {
             return;
         }
         let entry = &problem.blocks[block];
-        stored.copy_from_slice(&problem.values[entry.start..entry.start + entry.shape.stored]);
+        stored.copy_from_slice(&problem.values[entry.stored()]);
     }
 
     /// Takes in new residuals and blocks that lost some, and solves. Whether it came to an end.

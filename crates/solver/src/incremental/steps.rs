@@ -94,7 +94,7 @@ impl Steps {
     /// Takes a new step, and moves the problem's value by what it is more than the old one.
     pub fn set(&mut self, problem: &mut Problem, block: usize, new: &[f64]) {
         let entry = &problem.blocks[block];
-        let values = entry.start..entry.start + entry.shape.stored;
+        let values = entry.stored();
         if !self.is_noted[block] {
             self.is_noted[block] = true;
             self.noted.push(block);
@@ -136,7 +136,7 @@ impl Steps {
         for (k, (s, n)) in self.of(block).iter().zip(new).enumerate() {
             whole[entry.component(k)] = n - s;
         }
-        let values = entry.start..entry.start + entry.shape.stored;
+        let values = entry.stored();
         align(problem, block, &mut whole, false);
         (entry.plus)(&problem.values[values], &whole, stored);
     }
@@ -175,7 +175,7 @@ impl Steps {
 pub(super) fn align(problem: &Problem, block: usize, rows: &mut [f64], to_world: bool) {
     let entry = &problem.blocks[block];
     if entry.mask == ALL {
-        let values = &problem.values[entry.start..entry.start + entry.shape.stored];
+        let values = &problem.values[entry.stored()];
         (entry.align)(values, rows, to_world);
     }
 }

@@ -92,6 +92,14 @@ impl Finding {
         }
     }
 
+    /// With a number and the limit that it is judged by: the verdict is [`Verdict::Pass`] where that holds. To be said before the remedy.
+    pub fn judged(self, value: f64, unit: &'static str, limit: Limit) -> Self {
+        Self {
+            verdict: self.verdict.unless(limit.holds(value)),
+            ..self.value(value, unit).limit(limit)
+        }
+    }
+
     /// With the standard deviation of that number.
     pub fn sigma(self, sigma: f64) -> Self {
         Self {

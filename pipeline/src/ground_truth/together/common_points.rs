@@ -2,10 +2,9 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{ProgressFn, SharedProgress};
 use rayon::prelude::*;
 
 use super::Member;
@@ -82,15 +81,11 @@ pub(super) fn common_points(
         .flat_map(|(number, member)| views_of(number, member))
         .collect();
     let pairs = near_pairs(&views);
-    let (done, total) = (AtomicU64::new(0), pairs.len() as u64);
+    let done = SharedProgress::new("common points", pairs.len(), progress);
     let votes: Result<Vec<Vec<Pair>>, Error> = pairs
         .into_par_iter()
         .map(|(a, b)| {
-            progress(Progress {
-                stage: "common points",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total,
-            })?;
+            done.one_more()?;
             Ok(votes_of(&views[a], &views[b], config))
         })
         .collect();

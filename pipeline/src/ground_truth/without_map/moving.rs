@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
+use lsfb_types::STANDARD_GRAVITY_M_S2;
 use nalgebra::{SMatrix, SVector};
 
 use super::gyro_bias;
@@ -15,7 +16,6 @@ use super::sights::Tracks;
 use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
-use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 
 /// How long a beginning in motion is looked at, seconds, and the least of it where the walk is shorter.
@@ -244,7 +244,8 @@ fn solve(
         }
     }
     let (way_m, sigma_m) = way?;
-    let is_gravity = (gravity_m_s2.norm() - GRAVITY_M_S2).abs() <= LARGEST_GRAVITY_ERROR_M_S2;
+    let is_gravity =
+        (gravity_m_s2.norm() - STANDARD_GRAVITY_M_S2).abs() <= LARGEST_GRAVITY_ERROR_M_S2;
     (is_gravity && sigma_m <= LARGEST_SCALE_SIGMA * way_m).then(|| Found {
         velocity_m_s: unknowns.fixed_rows::<3>(0).into_owned(),
         gravity_m_s2,

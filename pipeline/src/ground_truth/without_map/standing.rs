@@ -2,10 +2,10 @@
 
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3};
 use lsfb_perception::statistics::median;
+use lsfb_types::STANDARD_GRAVITY_M_S2;
 
 use super::sights::Tracks;
 use crate::ground_truth::walk::{FrameState, Walk};
-use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NavState};
 
 /// Shortest rest that counts, seconds.
@@ -38,7 +38,7 @@ pub(super) fn states(walk: &Walk, tracks: &Tracks) -> Option<Vec<FrameState>> {
         sum / samples.len() as f64
     };
     let force = mean(|s| s.specific_force_m_s2);
-    if (force.norm() - GRAVITY_M_S2).abs() > LARGEST_ERROR_M_S2 {
+    if (force.norm() - STANDARD_GRAVITY_M_S2).abs() > LARGEST_ERROR_M_S2 {
         return None;
     }
     let upright = UnitQuaternion::rotation_between(&force, &Vector3::z())?;

@@ -16,6 +16,7 @@ use super::HdMap;
 use crate::features::triangulation::{
     TriangulatedPoint, TriangulationConfig, TriangulationFailure, View, triangulate,
 };
+use crate::worst_sigma::worst_sigma;
 
 pub use file::{read_clicks, read_control_points};
 
@@ -164,11 +165,7 @@ impl PlacedMark {
 
     /// Standard deviation in the direction in which its place is known worst.
     pub fn worst_sigma_m(&self) -> f64 {
-        self.covariance()
-            .symmetric_eigenvalues()
-            .max()
-            .max(0.0)
-            .sqrt()
+        worst_sigma(&self.covariance())
     }
 
     /// Whether a click on something else would have been seen.

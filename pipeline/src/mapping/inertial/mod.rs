@@ -9,7 +9,7 @@ use lsfb_geometry::{ImuNoiseModel, Rig, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_solver::{Block, Problem};
-use lsfb_types::{ImuSample, Stamped, Timestamp};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 
 use super::MappingConfig;
 use crate::Error;
@@ -18,7 +18,7 @@ use crate::inertial_blocks::{
     StateBlocks, USUAL_ACCEL_BIAS_M_S2, USUAL_GYRO_BIAS_RAD_S, about, add_bias_walks, add_samples,
     inflated,
 };
-use crate::odometry::{GRAVITY_M_S2, ImuUnits, OdometryReport, imu_pauses, mend_units};
+use crate::odometry::{ImuUnits, OdometryReport, imu_pauses, mend_units};
 use crate::preintegration::{
     ImuBias, ImuErrors, NavState, PreintegratedImu, standard_gravity_m_s2,
 };
@@ -242,7 +242,7 @@ impl<'a> KeyframeImu<'a> {
             }
         }
         let direction = fallen.try_normalize(f64::MIN_POSITIVE);
-        Ok(direction.map_or_else(standard_gravity_m_s2, |down| down * GRAVITY_M_S2))
+        Ok(direction.map_or_else(standard_gravity_m_s2, |down| down * STANDARD_GRAVITY_M_S2))
     }
 }
 

@@ -1,6 +1,6 @@
 use lsfb_geometry::UnitQuaternion;
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_types::{Verdict, no_progress};
+use lsfb_types::{STANDARD_GRAVITY_M_S2, Verdict, no_progress};
 
 use super::*;
 use crate::mapping::adjustment::{Adjusted, Terms, adjust};
@@ -286,7 +286,7 @@ fn the_term_has_the_units_that_the_odometry_has() {
     let right = read("right.mcap", &|_| ()).expect("samples");
     let in_gravities = read("gravities.mcap", &|sample| {
         let force = &mut sample.specific_force_m_s2;
-        *force = force.map(|c| c / GRAVITY_M_S2);
+        *force = force.map(|c| c / STANDARD_GRAVITY_M_S2);
     });
     let in_gravities = in_gravities.expect("samples");
     assert_eq!(in_gravities.len(), right.len());

@@ -3,7 +3,7 @@
 //! `(p₂ − p₁) / T₂ − (p₁ − p₀) / T₁ = ∫ w a dt`, with weights `w` that rise from the first scan to 1 at the second and fall to the third: the change of the mean
 //! velocity, and the force of the IMU in the world. Between scans the gyroscope has the attitude, which is bent so that it ends in the scans'.
 
-use lsfb_geometry::{Matrix3, StampedPose, UnitQuaternion, Vector3, so3};
+use lsfb_geometry::{IntegratedGyro, Matrix3, StampedPose, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped};
 use nalgebra::SymmetricEigen;
 
@@ -142,16 +142,15 @@ fn moments(
     let from = samples.partition_point(|s| at_s(s) < 0.0);
     let to = samples.partition_point(|s| at_s(s) <= span_s);
     let inside = samples.get(from..to)?;
-    let mut turned = begin.world_from_rig.rotation;
+    let rate = |s: &Stamped<ImuSample>| Vector3::from(s.sample.angular_velocity_rad_s);
+    let at_begin = inside.first().map(|s| (0.0, rate(s))).into_iter();
+    let gyro = IntegratedGyro::new(at_begin.chain(inside.iter().map(|s| (at_s(s), rate(s)))));
+    let turned = gyro.rotations().skip(1).map(|(_, turn)| turn);
     let mut before: Option<&Stamped<ImuSample>> = None;
     let mut moments = Vec::with_capacity(inside.len());
-    for (k, sample) in inside.iter().enumerate() {
+    for (k, (sample, turned)) in inside.iter().zip(turned).enumerate() {
         let now_s = at_s(sample);
-        let earlier = before.unwrap_or(sample);
         let since_s = now_s - before.map_or(0.0, at_s);
-        let rate = Vector3::from(earlier.sample.angular_velocity_rad_s)
-            + Vector3::from(sample.sample.angular_velocity_rad_s);
-        turned = so3::retract(&turned, &(rate * (0.5 * since_s)));
         let until_s = inside.get(k + 1).map_or(span_s, at_s);
         if since_s > MOST_GAP_S || until_s - now_s > MOST_GAP_S {
             return None;
@@ -165,7 +164,7 @@ fn moments(
             at_s: now_s,
             lasts_s: closes_s - opens_s,
             force: sample.sample.specific_force_m_s2,
-            world_from_rig: turned,
+            world_from_rig: begin.world_from_rig.rotation * turned,
         });
         before = Some(sample);
     }

@@ -3,9 +3,8 @@
 //!
 //! Error state, in this order: rotation and translation of the pose (right perturbation), velocity, gyroscope bias,
 //! accelerometer bias, gravity; three components each. Model as in Xu et al., "FAST-LIO2", eq. (1)–(8), with the pose
-//! error in the tangent of SE(3).
+//! error in the tangent of SE(3). From sample to sample it moves as [`PreintegratedImu`] does.
 
-mod reading;
 mod standing;
 mod start;
 
@@ -19,7 +18,8 @@ use nalgebra::{SMatrix, SVector};
 
 use super::learned_start::KnownBias;
 use super::uncertainty::once_seen;
-use reading::{Reading, reading_at};
+use crate::imu_reading::{Reading, reading_at};
+use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 use standing::{STANDING_SPAN_S, Standing};
 
 type Matrix18 = SMatrix<f64, 18, 18>;
@@ -28,9 +28,6 @@ const VELOCITY: usize = 6;
 const GYRO_BIAS: usize = 9;
 const ACCEL_BIAS: usize = 12;
 const GRAVITY: usize = 15;
-
-/// Standard gravity, m/s².
-pub const GRAVITY_M_S2: f64 = 9.80665;
 
 /// Beyond this the motion between two samples is not what they say, seconds: steps shake at a few hertz, and a straight line
 /// between samples still follows that.
@@ -132,76 +129,56 @@ impl InertialFilter {
         if !(dt > 0.0) {
             return;
         }
-        let s = &self.state;
-        let blind = dt > MAX_SAMPLE_GAP_S;
-        let rate = (from.angular_velocity + to.angular_velocity) * 0.5 - s.gyro_bias_rad_s;
-        let turn = so3::exp(&(rate * dt));
-        // Force at mid-time in the attitude of mid-time.
-        let force = (from.specific_force + to.specific_force) * 0.5 - s.accel_bias_m_s2;
-        let middle = so3::retract(&s.world_from_rig.rotation, &(rate * (0.5 * dt)))
-            .to_rotation_matrix()
-            .into_inner();
-        let acceleration = if blind {
-            Vector3::zeros()
-        } else {
-            middle * force + s.gravity_m_s2
+        let bias = ImuBias {
+            gyro_rad_s: self.state.gyro_bias_rad_s,
+            accel_m_s2: self.state.accel_bias_m_s2,
         };
-        let start = s.world_from_rig;
-        let mut end_rotation = start.rotation * turn;
-        end_rotation.renormalize_fast();
-        let end = Se3::new(
-            end_rotation,
-            start.translation + s.velocity_m_s * dt + acceleration * (0.5 * dt * dt),
-        );
-
-        let start_from_end = turn.inverse().to_rotation_matrix().into_inner();
-        let end_from_world = end.rotation_matrix().transpose();
-        let force_by_rotation = middle * so3::hat(&force);
-        let mut f = Matrix18::identity();
-        let mut set = |row: usize, column: usize, block: Matrix3<f64>| {
-            f.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+        let change = PreintegratedImu::between(from, to, bias, &self.noise);
+        let start = NavState {
+            world_from_rig: self.state.world_from_rig,
+            velocity_m_s: self.state.velocity_m_s,
         };
-        set(0, 0, start_from_end);
-        set(0, GYRO_BIAS, so3::right_jacobian(&(rate * dt)) * -dt);
-        set(3, 0, end_from_world * force_by_rotation * (-0.5 * dt * dt));
-        set(3, 3, start_from_end);
-        set(3, VELOCITY, end_from_world * dt);
-        set(3, ACCEL_BIAS, end_from_world * middle * (-0.5 * dt * dt));
-        set(3, GRAVITY, end_from_world * (0.5 * dt * dt));
-        set(VELOCITY, 0, -force_by_rotation * dt);
-        set(VELOCITY, ACCEL_BIAS, middle * -dt);
-        set(VELOCITY, GRAVITY, Matrix3::identity() * dt);
+        let mut end = change.predict(&start, &bias, &self.state.gravity_m_s2);
+        if dt > MAX_SAMPLE_GAP_S {
+            // Nobody felt how its velocity changed.
+            end.velocity_m_s = start.velocity_m_s;
+            end.world_from_rig.translation =
+                start.world_from_rig.translation + start.velocity_m_s * dt;
+        }
+        end.world_from_rig.rotation.renormalize_fast();
 
-        let mut noise = SVector::<f64, 18>::zeros();
+        let world_from_start = start.world_from_rig.rotation_matrix();
+        let f = transition(&change, &world_from_start);
+        let noise = measured(&change, &world_from_start) + self.unseen(dt);
+        self.covariance = f * self.covariance * f.transpose() + noise;
+        self.reported = f * self.reported * f.transpose() + noise;
+        self.state.world_from_rig = end.world_from_rig;
+        self.state.velocity_m_s = end.velocity_m_s;
+        self.time = to.time;
+    }
+
+    /// What samples so far apart do not say, and how biases walk meanwhile.
+    fn unseen(&self, dt: f64) -> Matrix18 {
         // What a straight line misses grows with the square of its length.
-        let missed = if blind {
+        let missed = if dt > MAX_SAMPLE_GAP_S {
             1.0
         } else if dt > SURE_SAMPLE_GAP_S {
             (dt / MAX_SAMPLE_GAP_S).powi(2)
         } else {
             0.0
         };
-        let mut add = |at: usize, density: f64, unseen: f64| {
-            let sigma = missed * unseen * dt;
-            let variance = density * density * dt + sigma * sigma;
-            noise.fixed_rows_mut::<3>(at).fill(variance);
-        };
-        add(0, self.noise.gyro_noise_density, UNSEEN_RATE_RAD_S);
-        add(3, 0.0, 0.5 * UNSEEN_ACCELERATION_M_S2 * dt);
-        add(
-            VELOCITY,
-            self.noise.accel_noise_density,
-            UNSEEN_ACCELERATION_M_S2,
-        );
-        add(GYRO_BIAS, self.noise.gyro_bias_walk, 0.0);
-        add(ACCEL_BIAS, self.noise.accel_bias_walk, 0.0);
-
-        let noise = Matrix18::from_diagonal(&noise);
-        self.covariance = f * self.covariance * f.transpose() + noise;
-        self.reported = f * self.reported * f.transpose() + noise;
-        self.state.world_from_rig = end;
-        self.state.velocity_m_s += acceleration * dt;
-        self.time = to.time;
+        let velocity_m_s = missed * UNSEEN_ACCELERATION_M_S2 * dt;
+        let mut variance = SVector::<f64, 18>::zeros();
+        for (at, sigma) in [
+            (0, missed * UNSEEN_RATE_RAD_S * dt),
+            (3, 0.5 * velocity_m_s * dt),
+            (VELOCITY, velocity_m_s),
+            (GYRO_BIAS, self.noise.gyro_bias_walk * dt.sqrt()),
+            (ACCEL_BIAS, self.noise.accel_bias_walk * dt.sqrt()),
+        ] {
+            variance.fixed_rows_mut::<3>(at).fill(sigma * sigma);
+        }
+        Matrix18::from_diagonal(&variance)
     }
 
     /// How far the pose may be off against the map: covariance of `[rotation, translation]`.
@@ -264,4 +241,54 @@ impl InertialFilter {
             self.reported = seen;
         }
     }
+}
+
+/// How the error state at the end of a change depends on that at its start.
+fn transition(change: &PreintegratedImu, world_from_start: &Matrix3<f64>) -> Matrix18 {
+    let end_from_start = change.rotation.inverse().to_rotation_matrix().into_inner();
+    let end_from_world = end_from_start * world_from_start.transpose();
+    let (secs, by) = (change.duration_secs, &change.by_bias);
+    let mut f = Matrix18::identity();
+    for (row, column, block) in [
+        (0, 0, end_from_start),
+        (0, GYRO_BIAS, by.rotation_by_gyro),
+        (3, 0, -end_from_start * so3::hat(&change.position_m)),
+        (3, 3, end_from_start),
+        (3, VELOCITY, end_from_world * secs),
+        (3, GYRO_BIAS, end_from_start * by.position_by_gyro),
+        (3, ACCEL_BIAS, end_from_start * by.position_by_accel),
+        (3, GRAVITY, end_from_world * (0.5 * secs * secs)),
+        (
+            VELOCITY,
+            0,
+            -world_from_start * so3::hat(&change.velocity_m_s),
+        ),
+        (VELOCITY, GYRO_BIAS, world_from_start * by.velocity_by_gyro),
+        (
+            VELOCITY,
+            ACCEL_BIAS,
+            world_from_start * by.velocity_by_accel,
+        ),
+        (VELOCITY, GRAVITY, Matrix3::identity() * secs),
+    ] {
+        f.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+    }
+    f
+}
+
+/// What the samples' noise makes of the error state at the end of a change.
+fn measured(change: &PreintegratedImu, world_from_start: &Matrix3<f64>) -> Matrix18 {
+    let end_from_start = change.rotation.inverse().to_rotation_matrix().into_inner();
+    // The change is ordered rotation, velocity, position, the last two in the frame of its start.
+    let mut by_change = SMatrix::<f64, 18, 9>::zeros();
+    for (row, column, block) in [
+        (0, 0, Matrix3::identity()),
+        (VELOCITY, 3, *world_from_start),
+        (3, 6, end_from_start),
+    ] {
+        by_change
+            .fixed_view_mut::<3, 3>(row, column)
+            .copy_from(&block);
+    }
+    by_change * change.covariance * by_change.transpose()
 }

@@ -5,8 +5,8 @@ use lsfb_geometry::{Matrix6, Vector3, Vector6};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SMatrix;
 
-use super::reading::Reading;
 use super::{InertialFilter, Matrix18, VELOCITY};
+use crate::imu_reading::Reading;
 
 /// Means over this long tell whether it still stands, seconds.
 pub(super) const STANDING_SPAN_S: f64 = 0.1;

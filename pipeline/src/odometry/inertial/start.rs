@@ -1,14 +1,12 @@
 //! How the filter starts: level, and standing or in motion.
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
-use lsfb_types::{ImuSample, Stamped, Timestamp};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 use nalgebra::SVector;
 
 use super::super::learned_start::KnownBias;
 use super::standing::{STANDING_GYRO_RAD_S, STANDING_VELOCITY_M_S, Standing};
-use super::{
-    ACCEL_BIAS, GRAVITY, GRAVITY_M_S2, GYRO_BIAS, InertialFilter, InertialState, Matrix18, VELOCITY,
-};
+use super::{ACCEL_BIAS, GRAVITY, GYRO_BIAS, InertialFilter, InertialState, Matrix18, VELOCITY};
 
 /// Of a pose that defines the world, radians and metres.
 const EXACT: f64 = 1e-5;
@@ -77,7 +75,7 @@ impl InertialFilter {
                 velocity_m_s: Vector3::zeros(),
                 gyro_bias_rad_s: if stands { rate } else { Vector3::zeros() },
                 accel_bias_m_s2: Vector3::zeros(),
-                gravity_m_s2: Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
+                gravity_m_s2: Vector3::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2),
             },
             covariance: Matrix18::from_diagonal(&variance),
             reported: Matrix18::from_diagonal(&variance),

@@ -1,6 +1,6 @@
 use super::*;
 use lsfb_geometry::UnitQuaternion;
-use lsfb_types::ImuSample;
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2};
 use rand::{RngExt, SeedableRng};
 
 const NOISE: ImuNoiseModel = ImuNoiseModel {
@@ -12,7 +12,7 @@ const NOISE: ImuNoiseModel = ImuNoiseModel {
 
 /// Samples at 200 Hz of an IMU at rest, turned by `world_from_rig`.
 fn at_rest(world_from_rig: &UnitQuaternion<f64>, gyro_bias: [f64; 3]) -> Vec<Stamped<ImuSample>> {
-    let force = world_from_rig.inverse() * Vector3::new(0.0, 0.0, GRAVITY_M_S2);
+    let force = world_from_rig.inverse() * Vector3::new(0.0, 0.0, STANDARD_GRAVITY_M_S2);
     (0..400)
         .map(|i| Stamped {
             time: Timestamp::from_nanos(i * 5_000_000),
@@ -54,7 +54,7 @@ fn upside_down_is_level_too() {
         .iter()
         .cloned()
         .map(|mut s| {
-            s.sample.specific_force_m_s2 = [0.0, 0.0, -GRAVITY_M_S2];
+            s.sample.specific_force_m_s2 = [0.0, 0.0, -STANDARD_GRAVITY_M_S2];
             s
         })
         .collect();

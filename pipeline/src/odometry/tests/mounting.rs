@@ -2,6 +2,7 @@
 
 use lsfb_geometry::UnitQuaternion;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
+use lsfb_types::STANDARD_GRAVITY_M_S2;
 
 use super::room::{self, Room};
 use super::*;
@@ -125,7 +126,7 @@ fn upside_down_the_walk_is_the_same() {
 #[test]
 fn in_gravities_the_walk_is_the_same_and_that_is_said() {
     let upright = UnitQuaternion::identity();
-    let (report, worst_m) = walk(&upright, GRAVITY_M_S2);
+    let (report, worst_m) = walk(&upright, STANDARD_GRAVITY_M_S2);
     assert_eq!(report.warnings, [OdometryWarning::AccelerometerInGravities]);
     assert!(worst_m < 0.05, "{worst_m} m");
 }

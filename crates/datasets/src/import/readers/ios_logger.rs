@@ -5,10 +5,11 @@ use std::path::Path;
 
 use lsfb_geometry::{Se3, Vector3};
 use lsfb_recording::message::{GnssFix, GnssReading};
+use lsfb_types::STANDARD_GRAVITY_M_S2;
 use lsfb_types::StampUnit::Seconds;
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use super::{STANDARD_GRAVITY_M_S2, TESLA_PER_MICROTESLA, frame};
+use super::{TESLA_PER_MICROTESLA, frame};
 use crate::Error;
 use crate::import::collected::{Collected, StreamId};
 use crate::import::payload::{Kind, Payload};

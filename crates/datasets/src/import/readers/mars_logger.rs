@@ -6,9 +6,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use lsfb_types::{ImuSample, StampUnit};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, StampUnit};
 
-use super::{STANDARD_GRAVITY_M_S2, frame};
+use super::frame;
 use crate::Error;
 use crate::import::collected::Collected;
 use crate::import::payload::{Kind, Payload};

@@ -20,8 +20,6 @@ use super::payload::{ImageRecord, Payload, Pixels};
 use super::{Format, ImportConfig};
 use crate::Error;
 
-/// Standard gravity, m/s²: what phones call 1 g.
-const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
 /// Microtesla in tesla.
 const TESLA_PER_MICROTESLA: f64 = 1e-6;
 

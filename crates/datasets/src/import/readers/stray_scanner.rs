@@ -6,10 +6,10 @@ use std::path::Path;
 
 use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, Vector3};
 use lsfb_types::StampUnit::Seconds;
-use lsfb_types::{ImuSample, median};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, median};
 
+use super::frame;
 use super::ios_logger::rotation;
-use super::{STANDARD_GRAVITY_M_S2, frame};
 use crate::Error;
 use crate::import::ImportConfig;
 use crate::import::collected::Collected;

@@ -11,7 +11,7 @@ mod motion;
 mod outcome;
 
 use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector3};
-use lsfb_types::{ImuSample, Stamped};
+use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped};
 
 use super::gyroscope::{GyroSample, align_gyroscope};
 use super::refine::{correlation_factor, deviations, sigmas};
@@ -71,7 +71,6 @@ const CLOCK_WALK: f64 = 2e-5;
 /// What is known before: rotation of the IMU, rad, its place, m, velocity, m/s, biases, rad/s and m/s², markers on the IMU, rad and m, clock, s,
 /// gravity, m/s².
 const PRIOR: [f64; 9] = [0.2, 0.5, 2.0, 0.05, 0.5, 0.2, 0.5, 0.005, 0.3];
-const GRAVITY_M_S2: f64 = 9.81;
 
 /// Aligns; both in order of time.
 pub fn align_mocap(
@@ -226,7 +225,7 @@ fn start(
         accel_bias: Vector3::zeros(),
         mount: Se3::new(imu_from_markers, Vector3::zeros()),
         clock_secs: 0.0,
-        gravity: down * GRAVITY_M_S2,
+        gravity: down * STANDARD_GRAVITY_M_S2,
     }
 }
 

@@ -1,10 +1,9 @@
 //! Which of the kept images show what was seen before, and how their poses lie to each other by that.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Matrix3, Matrix6};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{ProgressFn, SharedProgress};
 use rayon::prelude::*;
 
 use super::Before;
@@ -143,15 +142,11 @@ impl Search<'_> {
         let mut ways = Ways::new(keyframes);
         let mut confirmed = 0;
         loop {
-            let (done, total) = (AtomicU64::new(0), open.len() as u64);
+            let done = SharedProgress::new("searching for revisits", open.len(), progress);
             let looks: Result<Vec<Look>, Error> = open
                 .par_iter()
                 .map(|later| {
-                    progress(Progress {
-                        stage: "searching for revisits",
-                        done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                        total,
-                    })?;
+                    done.one_more()?;
                     Ok(self.look_from(*later, &ways))
                 })
                 .collect();

@@ -5,7 +5,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 /// Angular velocity and specific force at one time.
 #[derive(Clone, Copy)]
-pub(super) struct Reading {
+pub(crate) struct Reading {
     pub time: Timestamp,
     pub angular_velocity: Vector3<f64>,
     pub specific_force: Vector3<f64>,
@@ -22,7 +22,8 @@ impl From<&Stamped<ImuSample>> for Reading {
 }
 
 impl Reading {
-    fn between(a: &Self, b: &Self, time: Timestamp) -> Self {
+    /// On the straight line between two, the nearer one outside them.
+    pub fn between(a: &Self, b: &Self, time: Timestamp) -> Self {
         let span = b.time.secs_since(a.time);
         let fraction = if span > 0.0 {
             (time.secs_since(a.time) / span).clamp(0.0, 1.0)
@@ -38,7 +39,7 @@ impl Reading {
 }
 
 /// Reading at `time`, linear between samples, the nearest one outside them.
-pub(super) fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading> {
+pub(crate) fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading> {
     let next = samples.partition_point(|s| s.time < time);
     match (
         next.checked_sub(1).and_then(|i| samples.get(i)),
