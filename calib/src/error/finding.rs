@@ -150,7 +150,11 @@ impl Error {
             .value(*tilt_deg, "°")
             .limit(Limit::AtLeast(*needed_deg))
             .remedy(advice.as_str()),
-            Self::Solver(problem) => of_solver(problem)?,
+            Self::Solver(problem) => {
+                let found = problem.finding()?;
+                let what = format!("solving failed: {problem}");
+                Finding { what, ..found }
+            }
             Self::Io { .. }
             | Self::Image(_)
             | Self::Dataset(_)
@@ -160,18 +164,6 @@ impl Error {
             | Self::Stopped(_) => return None,
         })
     }
-}
-
-/// Measurements that determine nothing are the data's fault, other problems are ours.
-fn of_solver(problem: &lsfb_solver::Error) -> Option<Finding> {
-    use lsfb_solver::Error::{NotConverged, Undetermined};
-    let code = match problem {
-        NotConverged { .. } => "not-converged",
-        Undetermined { .. } => "undetermined",
-        _ => return None,
-    };
-    let found = fail(code, "", format!("solving failed: {problem}"));
-    Some(found.remedy("record more, with the board at other places and tilted more"))
 }
 
 impl SeenInstead {
@@ -211,6 +203,7 @@ impl PoorMotion {
             }
             Self::OneAxis => of("motion").remedy("rotate the rig about all three"),
             Self::FewTurns { axes, needed_rad_s } => {
+                let names: Vec<&str> = axes.iter().map(|(axis, _)| *axis).collect();
                 let least = axes
                     .iter()
                     .map(|(_, rate)| *rate)
@@ -218,7 +211,7 @@ impl PoorMotion {
                 of("motion")
                     .value(least, "rad/s")
                     .limit(Limit::AtLeast(*needed_rad_s))
-                    .remedy("rotate the rig more, about all three axes")
+                    .remedy(format!("rotate more about {}", names.join(" and ")))
             }
         }
     }

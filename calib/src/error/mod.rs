@@ -4,6 +4,8 @@ mod finding;
 mod join;
 mod join_finding;
 mod reasons;
+#[cfg(test)]
+mod tests;
 
 pub use join::JoinProblem;
 pub use reasons::{

@@ -3,10 +3,12 @@
 mod finding;
 mod refusal;
 mod shortage;
+#[cfg(test)]
+mod tests;
 
 use std::path::{Path, PathBuf};
 
-use lsfb_types::{Finding, Timestamp};
+use lsfb_types::{Finding, Timestamp, Verdict};
 
 pub use refusal::Refusal;
 pub use shortage::MapShortage;
@@ -228,7 +230,7 @@ pub enum Error {
         message: String,
     },
     /// A least-squares problem could not be solved.
-    #[error("optimisation: {0}")]
+    #[error("{}", of_solver(.0).message())]
     Solver(#[from] lsfb_solver::Error),
     /// A recording could not be read.
     #[error(transparent)]
@@ -304,6 +306,7 @@ impl Error {
     pub fn finding(&self) -> Option<Finding> {
         match self {
             Self::Refused(refusal) => Some(refusal.finding()),
+            Self::Solver(problem) => problem.finding().map(|_| of_solver(problem)),
             Self::OtherWalk { path, error } => {
                 let found = error.finding()?;
                 let path = path.display().to_string();
@@ -322,5 +325,15 @@ impl Error {
     pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::Io { path, source }
+    }
+}
+
+/// A problem of the solver in words; only what was measured has something to be done about.
+fn of_solver(problem: &lsfb_solver::Error) -> Finding {
+    let found = problem.finding();
+    let found = found.unwrap_or_else(|| Finding::new("", Verdict::Fail, "", problem.to_string()));
+    Finding {
+        what: format!("optimisation: {}", found.what),
+        ..found
     }
 }

@@ -216,7 +216,7 @@ pub enum Refusal {
         iterations: usize,
     },
     /// The IMU leaves a time open that is to be integrated over.
-    #[error("no samples from {from} s to {to} s")]
+    #[error("no IMU samples from {from} s to {to} s")]
     ImuGap {
         /// Last instant before the gap.
         from: Timestamp,
@@ -387,7 +387,7 @@ pub enum Refusal {
         previous: Timestamp,
     },
     /// The first scan came before any inertial sample.
-    #[error("no sample before {time} s")]
+    #[error("no IMU sample before {time} s")]
     ImuMissing {
         /// End of the scan.
         time: Timestamp,
