@@ -148,12 +148,12 @@ fn boards_that_are_not_seen_are_named() {
     assert!(text.contains("found in 0 of 8 scans"), "{text}");
     let mut blind = few().simulate(5);
     let text = refusal(&BOARD, &blind[..2]);
-    assert!(text.contains("2 of 2 images, but 3 are needed"), "{text}");
+    assert!(text.contains("2 of 2 images (at least 3)"), "{text}");
     for pose in &mut blind {
         pose.sights[0].corners.clear();
     }
     let text = refusal(&BOARD, &blind);
-    assert!(text.contains("0 of 8 images, but 3 are needed"), "{text}");
+    assert!(text.contains("0 of 8 images (at least 3)"), "{text}");
 }
 
 #[test]

@@ -36,4 +36,4 @@ pub mod two_view;
 pub mod vlad;
 mod worst_sigma;
 
-pub use error::{Error, MapShortage};
+pub use error::{Error, MapShortage, Refusal};

@@ -8,7 +8,7 @@ use lsfb_solver::{
 };
 use lsfb_types::{Progress, ProgressFn, Stopped};
 
-use crate::Error;
+use crate::{Error, Refusal};
 
 /// Tells progress, and remembers the answer.
 struct Told<'a> {
@@ -60,7 +60,7 @@ pub(crate) fn solve_or_stop(
     Ok(report)
 }
 
-/// [`lsfb_solver::solve_until_converged`], likewise. [`Error::NotConverged`] where it never does.
+/// [`lsfb_solver::solve_until_converged`], likewise. [`Refusal::NotConverged`] where it never does.
 pub(crate) fn solve_until_converged(
     stage: &'static str,
     problem: &mut Problem,
@@ -73,7 +73,7 @@ pub(crate) fn solve_until_converged(
     told.answer?;
     report.map_err(|error| match error {
         lsfb_solver::Error::NotConverged { iterations } => {
-            Error::NotConverged { stage, iterations }
+            Error::Refused(Refusal::NotConverged { stage, iterations })
         }
         other => other.into(),
     })

@@ -4,7 +4,7 @@ use lsfb_types::Finding;
 
 use super::missed;
 
-/// What two sensors lack to be joined, and what to do about it. Times are seconds.
+/// What two sensors lack to be joined; what to do about it is in the finding, or here where the input is wrong. Times are seconds.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum JoinProblem {
@@ -27,9 +27,7 @@ pub enum JoinProblem {
     GivenTwice,
 
     /// Two cameras see the board together too seldom.
-    #[error(
-        "both see the target at {shared} instants, but {needed} are needed: check that they are triggered together and that their fields of view overlap"
-    )]
+    #[error("both see the target at {shared} instants")]
     FewInstants {
         /// Instants at which both see it.
         shared: usize,
@@ -38,12 +36,12 @@ pub enum JoinProblem {
     },
     /// Poses of two cameras agree if the board is turned by half a turn for one.
     #[error(
-        "they see the board from opposite ends: the board is upside down for one of them, or one camera is mounted upside down. Use a checkerboard with an odd number of inner corners along one edge and an even number along the other, whose ends can be told apart"
+        "they see the board from opposite ends: the board is upside down for one of them, or one camera is mounted upside down"
     )]
     OppositeEnds,
     /// Images of two cameras are paired wrongly.
     #[error(
-        "their pairs are shifted: images of the second camera belong to those that the first took {} {}. They are not triggered together, or one of them lost images before they were numbered",
+        "their pairs are shifted: images of the second camera belong to those that the first took {} {}; they are not triggered together, or one of them lost images before they were numbered",
         instants(*by), if *by > 0 { "before" } else { "after" }
     )]
     ShiftedPairs {
@@ -78,7 +76,7 @@ pub enum JoinProblem {
     Swapped,
     /// Two cameras are not where the rig has them.
     #[error(
-        "relative to each other they are {:.1}° and {:.0} mm off the rig: check which camera is which, or calibrate the cameras first",
+        "relative to each other they are {:.1}° and {:.0} mm off the rig",
         turn_rad.to_degrees(), shift_m * 1e3
     )]
     Misplaced {
@@ -99,7 +97,7 @@ pub enum JoinProblem {
     },
     /// Samples of the IMU share their stamps.
     #[error(
-        "{repeated} of {all} IMU samples have the same stamp as another one, so that their time is unknown; have the driver stamp each sample"
+        "{repeated} of {all} IMU samples have the same stamp as another one, so that their time is unknown"
     )]
     RepeatedStamps {
         /// Samples with the stamp of an earlier one.
@@ -108,9 +106,7 @@ pub enum JoinProblem {
         all: usize,
     },
     /// The IMU measured while the camera saw nothing.
-    #[error(
-        "only {samples} of the samples from {length_s:.1} s lie within {within_s} s of a view, but {needed} are needed: check the clocks"
-    )]
+    #[error("only {samples} of the samples from {length_s:.1} s lie within {within_s} s of a view")]
     FewSamples {
         /// Samples near views.
         samples: usize,
@@ -122,9 +118,7 @@ pub enum JoinProblem {
         needed: usize,
     },
     /// The camera saw the board while the IMU did not measure.
-    #[error(
-        "only {pairs} pairs of neighbouring views lie within the IMU's {length_s:.1} s, but {needed} are needed: check the clocks"
-    )]
+    #[error("only {pairs} pairs of neighbouring views lie within the IMU's {length_s:.1} s")]
     FewRates {
         /// Pairs of views.
         pairs: usize,
@@ -146,7 +140,7 @@ pub enum JoinProblem {
     },
     /// The offset between two clocks is larger than was to be searched.
     #[error(
-        "their clocks are not synchronised: the rotations agree if {offset_s:+.2} s are added to the camera's stamps, which is more than max_offset_s = {largest_s}. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s"
+        "their clocks are not synchronised: the rotations agree if {offset_s:+.2} s are added to the camera's stamps"
     )]
     FarOffset {
         /// The offset.
@@ -155,9 +149,7 @@ pub enum JoinProblem {
         largest_s: f64,
     },
     /// A gyroscope in degrees per second.
-    #[error(
-        "camera and gyroscope rotate alike if its samples are in degrees per second: convert them to radians per second"
-    )]
+    #[error("camera and gyroscope rotate alike if its samples are in degrees per second")]
     InDegrees,
     /// No offset makes a camera and the gyroscope turn alike.
     #[error(
@@ -172,7 +164,7 @@ pub enum JoinProblem {
     },
     /// Camera and gyroscope turn alike once the rows of its images are taken to be exposed one after the other.
     #[error(
-        "rolling shutter detected: the rotation fits the gyroscope with a readout of about {:.0} ms, not with the {:.0} ms in the rig. Set the camera's readout_s in the rig (--rig), or estimate it (readout = \"estimated\" in --config)",
+        "rolling shutter detected: the rotation fits the gyroscope with a readout of about {:.0} ms, not with the {:.0} ms in the rig",
         1e3 * found_s, 1e3 * known_s
     )]
     RollingShutter {
@@ -193,9 +185,7 @@ pub enum JoinProblem {
     },
 
     /// The camera never sees the board.
-    #[error(
-        "the target was found in 0 of {images} images: check its kind and size, the focus, and that the whole board is lit"
-    )]
+    #[error("the target was found in 0 of {images} images")]
     NotSeen {
         /// Images looked at.
         images: usize,
@@ -212,7 +202,7 @@ pub enum JoinProblem {
     },
     /// Scans and images are of different times.
     #[error(
-        "{scans} scans and {seen} of {images} images with the board, but none at the same time: record both at once, and check with `lsfb clock` that their clocks agree"
+        "{scans} scans and {seen} of {images} images with the board, but none at the same time"
     )]
     NoSameTime {
         /// Scans.
@@ -223,9 +213,7 @@ pub enum JoinProblem {
         images: usize,
     },
     /// The board is never at rest.
-    #[error(
-        "{scans} scans and {seen} images with the board, but it always moves too fast: hold board and rig still for two seconds in each pose"
-    )]
+    #[error("{scans} scans and {seen} images with the board, but it always moves too fast")]
     AlwaysMoving {
         /// Scans.
         scans: usize,
@@ -233,11 +221,11 @@ pub enum JoinProblem {
         seen: usize,
     },
     /// Returns of a board do not span a plane.
-    #[error("its points lie on a line: remove this pose")]
+    #[error("its points lie on a line")]
     PointsOnALine,
     /// What looks like the board in scans is not where the camera sees it.
     #[error(
-        "patches like the board were found in {found} of {scans} scans, but no transform puts {needed} of them where the camera sees it: check that scans and images belong together and that the board stood still and free"
+        "patches like the board were found in {found} of {scans} scans, but no transform puts {needed} of them where the camera sees it"
     )]
     NoTransformFits {
         /// Scans with such a patch.
@@ -248,7 +236,7 @@ pub enum JoinProblem {
         needed: usize,
     },
     /// Too few poses of the board agree.
-    #[error("{left} poses remain, but {needed} are needed: record more")]
+    #[error("{left} poses remain")]
     FewPoses {
         /// Poses that agree.
         left: usize,
@@ -256,7 +244,7 @@ pub enum JoinProblem {
         needed: usize,
     },
     /// The weights of camera and LiDAR were made anew without end.
-    #[error("the camera/LiDAR weighting did not converge: record more poses")]
+    #[error("the camera/LiDAR weighting did not converge")]
     WeightsUnsettled,
     /// Both sensors have the board at different places.
     #[error(
@@ -274,15 +262,13 @@ pub enum JoinProblem {
     #[error("the rig has no LiDAR: add its pose as measured by hand")]
     NoLidar,
     /// The recording has other cameras than the rig.
-    #[error("none of the rig's cameras is in the recording: check the names")]
+    #[error("none of the rig's cameras is in the recording")]
     NoCamera,
     /// The recording has no scans.
     #[error("the recording has no scans")]
     NoScans,
     /// The scans last too short a time.
-    #[error(
-        "{length_s:.1} s of scans are too short; at least {needed_s} s are needed, 30 s are better: walk through a furnished place and turn"
-    )]
+    #[error("{length_s:.1} s of scans are too short")]
     ShortScans {
         /// Length of the scans.
         length_s: f64,
@@ -291,7 +277,7 @@ pub enum JoinProblem {
     },
     /// Scans cannot be registered to each other.
     #[error(
-        "scans cannot be registered to each other: the LiDAR sees too few surfaces, or moves too fast. Record a place with walls, floor and furniture within 20 m"
+        "scans cannot be registered to each other: the LiDAR sees too few surfaces, or moves too fast"
     )]
     ScansUnregistered,
 }

@@ -1,7 +1,11 @@
-//! Why a calibration could not be made.
+//! Why a calibration could not be made, and what of it is a judgement of the data.
 
+mod finding;
 mod join;
+mod join_finding;
 mod reasons;
+#[cfg(test)]
+mod tests;
 
 pub use join::JoinProblem;
 pub use reasons::{
@@ -38,9 +42,7 @@ pub enum Error {
     #[error("invalid target: {0}")]
     Target(#[from] TargetProblem),
     /// A camera saw the target too seldom.
-    #[error(
-        "camera {camera}: the target was found in {found} of {images} images, but {needed} are needed: check the target's kind and size ({target}), the focus, and that the whole board is lit"
-    )]
+    #[error("{}", self.message())]
     TargetNotSeen {
         /// The camera.
         camera: String,
@@ -54,9 +56,7 @@ pub enum Error {
         target: String,
     },
     /// Most images of a camera are one image.
-    #[error(
-        "camera {camera}: the target was found in {found} images, but only {different} of them differ (the others are duplicates), and {needed} are needed: move the board or the camera between images, and check that the camera does not repeat images"
-    )]
+    #[error("{}", self.message())]
     CopiedImages {
         /// The camera.
         camera: String,
@@ -68,7 +68,7 @@ pub enum Error {
         needed: usize,
     },
     /// A camera saw another target.
-    #[error("camera {camera}: the {target} is in none of {images} images, but {instead}")]
+    #[error("{}", self.message())]
     OtherTarget {
         /// The camera.
         camera: String,
@@ -80,10 +80,7 @@ pub enum Error {
         instead: SeenInstead,
     },
     /// The views do not fit the model.
-    #[error(
-        "camera {camera}: {}: the target's geometry is wrong ({target}), the board is upside down or bent, or the lens is not {model}",
-        missed(*rms_px)
-    )]
+    #[error("{}", self.message())]
     DoesNotFit {
         /// The camera.
         camera: String,
@@ -95,10 +92,7 @@ pub enum Error {
         model: &'static str,
     },
     /// The views fit another lens model, not the one that was asked for.
-    #[error(
-        "camera {camera}: the lens model {model} does not fit these views ({}), but {other} does, with a reprojection error of {other_rms_px:.2} px: use --model {other}",
-        missed(*rms_px)
-    )]
+    #[error("{}", self.message())]
     AnotherModelFits {
         /// The camera.
         camera: String,
@@ -112,7 +106,7 @@ pub enum Error {
         other_rms_px: f64,
     },
     /// The views do not determine a parameter.
-    #[error("camera {camera}: {parameters} cannot be determined from these views: {advice}")]
+    #[error("{}", self.message())]
     Undetermined {
         /// The camera.
         camera: String,
@@ -122,7 +116,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Two cameras were given the same images.
-    #[error("{first} and {second} show the same images: both were given the same folder or topic")]
+    #[error("{}", self.message())]
     SameImages {
         /// A camera.
         first: String,
@@ -130,7 +124,7 @@ pub enum Error {
         second: String,
     },
     /// Numbers that are right in other units only.
-    #[error("{what}: {problem}")]
+    #[error("{}", self.message())]
     Unit {
         /// Whose numbers they are.
         what: String,
@@ -138,7 +132,7 @@ pub enum Error {
         problem: WrongUnit,
     },
     /// Cameras or sensors do not share enough.
-    #[error("{first} and {second}: {cause}")]
+    #[error("{}", self.message())]
     NotJoined {
         /// A sensor.
         first: String,
@@ -148,23 +142,19 @@ pub enum Error {
         cause: JoinProblem,
     },
     /// The motion of the rig does not say enough.
-    #[error("the motion is too poor: {0}")]
+    #[error("{}", self.message())]
     Motion(#[from] PoorMotion),
     /// Samples of an IMU that contradict what cameras see.
-    #[error("the IMU samples are implausible: {0}")]
+    #[error("{}", self.message())]
     Imu(#[from] BadImu),
     /// A recording from which an IMU's noise cannot be read.
-    #[error("the noise cannot be determined from this recording: {0}")]
+    #[error("{}", self.message())]
     NotAtRest(#[from] NoRest),
     /// A setting lies outside its bounds.
     #[error(transparent)]
     Setting(#[from] lsfb_types::OutOfBounds),
     /// The LiDAR saw the board too seldom.
-    #[error(
-        "lidar: a board of {:.0} × {:.0} mm was found in {found} of {scans} scans, but {needed} are needed: check its size, that it stands free (no wall or person within 20 cm behind it), and that at least three beams hit it",
-        width_m * 1e3,
-        height_m * 1e3
-    )]
+    #[error("{}", self.message())]
     BoardNotSeen {
         /// Scans in which something like it was found.
         found: usize,
@@ -178,12 +168,10 @@ pub enum Error {
         height_m: f64,
     },
     /// What was said of the board's size is not what the sensors see.
-    #[error("the board's size is wrong: {0}")]
+    #[error("{}", self.message())]
     BoardSize(#[from] WrongSize),
     /// The board always faced the same way.
-    #[error(
-        "the boards' normals differ by only {tilt_deg:.1}° about a second axis, but {needed_deg:.0}° are needed: translation along {direction} depends on the outlines alone; {advice}"
-    )]
+    #[error("{}", self.message())]
     OneSided {
         /// Spread of the normals about the axis about which they differ least, degrees.
         tilt_deg: f64,
@@ -195,7 +183,7 @@ pub enum Error {
         advice: String,
     },
     /// The least-squares problem could not be solved.
-    #[error("solving failed: {0}")]
+    #[error("{}", self.message())]
     Solver(#[from] lsfb_solver::Error),
     /// The progress callback asked for an early end.
     #[error("{0}")]
@@ -208,5 +196,26 @@ pub(crate) fn missed(rms_px: f64) -> String {
         format!("reprojection error is {rms_px:.1} px")
     } else {
         "most corners are outside the lens's field of view".to_owned()
+    }
+}
+
+impl Error {
+    /// As the finding says it, where there is one.
+    fn message(&self) -> String {
+        match (self.finding(), self) {
+            (Some(found), _) => found.message(),
+            (
+                None,
+                Self::NotJoined {
+                    first,
+                    second,
+                    cause,
+                },
+            ) => {
+                format!("{first} and {second}: {cause}")
+            }
+            (None, Self::Solver(problem)) => format!("solving failed: {problem}"),
+            (None, _) => String::new(),
+        }
     }
 }

@@ -109,9 +109,7 @@ pub enum TargetProblem {
 #[non_exhaustive]
 pub enum SeenInstead {
     /// The board, mirrored.
-    #[error(
-        "{images} show its tags mirrored: turn off image flipping in the camera driver, or print the board again"
-    )]
+    #[error("{images} show its tags mirrored")]
     Mirrored {
         /// Images that show it.
         images: usize,
@@ -129,7 +127,7 @@ pub enum SeenInstead {
 #[non_exhaustive]
 pub enum WrongUnit {
     /// Stamps in a unit that is known.
-    #[error("stamps are {step} ns apart and look like {unit}: convert them to nanoseconds")]
+    #[error("stamps are {step} ns apart and look like {unit}")]
     Stamps {
         /// Median distance of neighbours, as they are.
         step: i64,
@@ -137,14 +135,14 @@ pub enum WrongUnit {
         unit: &'static str,
     },
     /// Numbers that are no stamps in any unit.
-    #[error("numbers that are {step} apart are not stamps: nanoseconds are needed")]
+    #[error("numbers that are {step} apart are not stamps")]
     NoStamps {
         /// Median distance of neighbours.
         step: i64,
     },
     /// Angular velocities that no hand reaches.
     #[error(
-        "a tenth of its samples are above {rate_rad_s:.0} rad/s: they are in degrees per second; convert them to radians per second"
+        "a tenth of its samples are above {rate_rad_s:.0} rad/s: they are in degrees per second"
     )]
     Degrees {
         /// What a tenth of the samples exceeds, read as radians per second.
@@ -160,13 +158,10 @@ pub enum PoorMotion {
     #[error("the target is never visible")]
     NothingSeen,
     /// Every turn has one axis.
-    #[error("it rotates about one axis only: rotate the rig about all three")]
+    #[error("it rotates about one axis only")]
     OneAxis,
     /// Some axes are hardly turned about.
-    #[error(
-        "rotate more about {}: at least {needed_rad_s} rad/s rms are needed",
-        axes_words(axes)
-    )]
+    #[error("it rotates too little about {}", axes_words(axes))]
     FewTurns {
         /// The axes with their angular velocities, rad/s rms.
         axes: Vec<(&'static str, f64)>,
@@ -188,8 +183,8 @@ fn axes_words(axes: &[(&str, f64)]) -> String {
 pub enum BadImu {
     /// The accelerometer reads something that is not gravity.
     #[error(
-        "the accelerometer reads {mean_m_s2:.2} m/s² on average, where gravity is {gravity_m_s2:.2}: {}",
-        if *is_in_g { "it is in units of g; convert to m/s²" } else { "check its unit and its range, and that gravity was not subtracted" }
+        "the accelerometer reads {mean_m_s2:.2} m/s² on average, where gravity is {gravity_m_s2:.2}{}",
+        if *is_in_g { ": it is in units of g" } else { "" }
     )]
     Gravity {
         /// Mean length of its samples.
@@ -201,7 +196,7 @@ pub enum BadImu {
     },
     /// The gyroscope's axes are mirrored.
     #[error(
-        "{camera}: the gyroscope's axes are left-handed relative to the camera: one has the wrong sign, or two are swapped"
+        "the gyroscope's axes are left-handed relative to {camera}: one has the wrong sign, or two are swapped"
     )]
     LeftHanded {
         /// The camera.
@@ -209,7 +204,7 @@ pub enum BadImu {
     },
     /// The gyroscope turns about other axes than the camera.
     #[error(
-        "{camera}: camera and gyroscope rotate equally fast, but about axes that no mounting explains: a gyroscope axis has the wrong scale, or its columns are swapped"
+        "{camera} and gyroscope rotate equally fast, but about axes that no mounting explains: a gyroscope axis has the wrong scale, or its columns are swapped"
     )]
     OtherAxes {
         /// The camera.
@@ -231,9 +226,7 @@ pub enum NoRest {
         index: usize,
     },
     /// It is too short.
-    #[error(
-        "it lasts {length_s:.1} s, but at least {needed_s} s are needed, and two hours for the random walk"
-    )]
+    #[error("it lasts {length_s:.1} s")]
     Short {
         /// How long it is.
         length_s: f64,
@@ -241,9 +234,7 @@ pub enum NoRest {
         needed_s: f64,
     },
     /// Too many samples are missing.
-    #[error(
-        "{missing:.0} of {all:.0} samples are missing, so that clusters would be uneven; find out why they are lost (`lsfb doctor`)"
-    )]
+    #[error("{missing:.0} of {all:.0} samples are missing, so that clusters would be uneven")]
     Missing {
         /// Samples that are missing.
         missing: f64,
@@ -252,7 +243,7 @@ pub enum NoRest {
     },
     /// Samples share their stamps.
     #[error(
-        "{repeated} of {all} samples have the same stamp as another one, so that their time is unknown; have the driver stamp each sample"
+        "{repeated} of {all} samples have the same stamp as another one, so that their time is unknown"
     )]
     Repeated {
         /// Samples with the stamp of an earlier one.
@@ -261,9 +252,7 @@ pub enum NoRest {
         all: usize,
     },
     /// It was moved.
-    #[error(
-        "it moves {after_s:.0} s after the start: put it on solid ground, away from footsteps and fans, and record again"
-    )]
+    #[error("it moves {after_s:.0} s after the start")]
     Moved {
         /// When, after its start.
         after_s: f64,
@@ -306,7 +295,7 @@ impl fmt::Display for PatternExcess {
 pub enum WrongSize {
     /// Camera and LiDAR agree on another size, roughly.
     #[error(
-        "images of {camera} fit the LiDAR if the pattern is about {factor:.2} times as large, {edges}: measure it"
+        "images of {camera} fit the LiDAR if the pattern is about {factor:.2} times as large, {edges}"
     )]
     OtherScale {
         /// The camera.
@@ -317,7 +306,7 @@ pub enum WrongSize {
         edges: String,
     },
     /// Camera and LiDAR agree on another size.
-    #[error("{pattern}. Measure it and correct the target{}", also_words(also))]
+    #[error("{pattern}{}", also_words(also))]
     Measured {
         /// What they agree on.
         pattern: PatternExcess,
@@ -326,7 +315,7 @@ pub enum WrongSize {
     },
     /// Width and height of the plate are exchanged.
     #[error(
-        "the plate's longer side lies along the pattern's {longer_axis} axis in {exchanged} of {poses} poses, but {:.0} × {:.0} mm was given: swap width and height",
+        "the plate's longer side lies along the pattern's {longer_axis} axis in {exchanged} of {poses} poses, but {:.0} × {:.0} mm was given",
         plate_m[0] * 1e3, plate_m[1] * 1e3
     )]
     Exchanged {

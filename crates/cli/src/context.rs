@@ -12,7 +12,9 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::GlobalArguments;
+use crate::outcome::Outcome;
 use crate::progress::Display;
+use crate::refused::Failed;
 use crate::stop::StopSignal;
 use crate::{full_disk, standing, terminal};
 
@@ -24,6 +26,8 @@ pub struct Context {
     display: Display,
     stop: StopSignal,
     data_lost: Arc<AtomicBool>,
+    /// Whether the result was printed: there is one JSON object.
+    printed: Arc<AtomicBool>,
     /// Where is written.
     places: Arc<Mutex<Vec<PathBuf>>>,
     /// Results that were claimed.
@@ -40,6 +44,7 @@ impl Context {
             display: Display::new(global.quiet),
             stop: StopSignal::install()?,
             data_lost: Arc::default(),
+            printed: Arc::default(),
             places: Arc::default(),
             claimed: Arc::default(),
         })
@@ -54,6 +59,7 @@ impl Context {
             display: self.display.part(name),
             stop: self.stop.clone(),
             data_lost: Arc::clone(&self.data_lost),
+            printed: Arc::clone(&self.printed),
             places: Arc::clone(&self.places),
             claimed: Arc::clone(&self.claimed),
         }
@@ -131,8 +137,8 @@ impl Context {
         let Some(signal) = self.stop.name().filter(|_| stopped) else {
             self.display.finish();
             let places = self.places.lock().map(|places| places.clone());
-            print_error(error, &places.unwrap_or_default());
-            return ExitCode::FAILURE;
+            let in_json = self.json && !self.printed.load(Ordering::Relaxed);
+            return say_failed(error, &places.unwrap_or_default(), in_json).into();
         };
         let stage = self.display.stage();
         self.display.finish();
@@ -158,6 +164,7 @@ impl Context {
         text: impl FnOnce() -> String,
     ) -> anyhow::Result<()> {
         self.display.finish();
+        self.printed.store(true, Ordering::Relaxed);
         if self.json {
             terminal::print_plain(&serde_json::to_string(value)?)
         } else {
@@ -168,6 +175,7 @@ impl Context {
     /// What [`Context::print`] would have printed, kept from when it was.
     pub fn print_kept(&self, json: &str, text: &str) -> anyhow::Result<()> {
         self.display.finish();
+        self.printed.store(true, Ordering::Relaxed);
         terminal::print(if self.json { json } else { text })
     }
 
@@ -218,12 +226,18 @@ pub fn sentence(error: &anyhow::Error) -> String {
     message
 }
 
-/// For the person at the terminal; a disk that is full is named.
-pub fn print_error(error: &anyhow::Error, places: &[PathBuf]) {
+/// Says why a command failed, for the person at the terminal and, where that was asked for, in JSON; a disk that is full is named.
+pub fn say_failed(error: &anyhow::Error, places: &[PathBuf], in_json: bool) -> Outcome {
     let mut message = sentence(error);
     if let Some(full) = full_disk::named(error, places) {
         message = format!("{message}: {full}");
     }
+    let failed = Failed::new(error, &message);
+    if in_json && let Ok(json) = serde_json::to_string(&failed) {
+        // Where stdout is full or closed, stderr says why all the same.
+        let _ = terminal::print_plain(&json);
+    }
     // It quotes names and texts of files.
     terminal::say(&terminal::printable(&format!("error: {message}")));
+    failed.outcome()
 }

@@ -22,6 +22,7 @@ mod outcome;
 mod phones;
 mod progress;
 mod qr_code;
+mod refused;
 mod simulated;
 mod standing;
 mod stop;
@@ -124,8 +125,7 @@ fn main() -> ExitCode {
     let context = match Context::new(&arguments.global) {
         Ok(context) => context,
         Err(error) => {
-            context::print_error(&error, &[]);
-            return ExitCode::FAILURE;
+            return context::say_failed(&error, &[], arguments.global.json).into();
         }
     };
     match run(arguments, &context) {

@@ -7,13 +7,19 @@ use lsfb_types::Verdict;
 /// Exit codes and what they mean, the same in all commands: as the help has them, and the table of `README.md`.
 pub const EXIT_CODES: [(&str, &str); 6] = [
     ("0", "done"),
-    ("1", "failed; the last line of stderr says why"),
+    (
+        "1",
+        "failed: it could not be done (files, settings, the system); the last line of stderr says why",
+    ),
     ("2", "bad arguments"),
     (
         "3",
         "finished, but incomplete: data was lost or unreadable, or uncertain parts were left out; the report says which",
     ),
-    ("4", "finished, but a check failed; the findings say why"),
+    (
+        "4",
+        "a check of the data failed; the findings say why, and a result that was written must not be used",
+    ),
     (
         "129, 130, 143",
         "stopped by a closed terminal (SIGHUP), Ctrl-C or SIGTERM",
@@ -26,15 +32,17 @@ pub fn exit_codes() -> String {
     format!("Exit codes:\n{}", lines.concat())
 }
 
-/// What a command that did not fail has to say.
+/// How a command ends that nobody stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Everything asked for was done.
     Done,
     /// Finished, but data was lost or unreadable, or uncertain parts were left out; the report says which.
     DataLost,
-    /// Finished, but a check failed, of a recording, a machine, a calibration; the findings say why.
+    /// A check failed, of a recording, a machine, a calibration; the findings say why.
     JudgementFailed,
+    /// It could not be done.
+    Failed,
 }
 
 impl Outcome {
@@ -54,6 +62,7 @@ impl From<Outcome> for ExitCode {
             Outcome::Done => ExitCode::SUCCESS,
             Outcome::DataLost => ExitCode::from(3),
             Outcome::JudgementFailed => ExitCode::from(4),
+            Outcome::Failed => ExitCode::FAILURE,
         }
     }
 }
@@ -78,11 +87,17 @@ mod tests {
             .iter()
             .flat_map(|(codes, _)| codes.split(", "))
             .collect();
-        for outcome in [Outcome::Done, Outcome::DataLost, Outcome::JudgementFailed] {
+        for outcome in [
+            Outcome::Done,
+            Outcome::DataLost,
+            Outcome::JudgementFailed,
+            Outcome::Failed,
+        ] {
             let code = match outcome {
                 Outcome::Done => 0,
                 Outcome::DataLost => 3,
                 Outcome::JudgementFailed => 4,
+                Outcome::Failed => 1,
             };
             assert_eq!(ExitCode::from(outcome), ExitCode::from(code));
             assert!(known.contains(&code.to_string().as_str()));

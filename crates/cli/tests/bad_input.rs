@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::answer::json;
 use crate::capture_file::pcap;
 use crate::process::lsfb;
-use crate::refusal::{contents, refused};
+use crate::refusal::{contents, found_unfit, refused};
 use crate::session::{inputs, with};
 use lsfb_recording::{Recording, read_tum};
 use tempfile::TempDir;
@@ -322,10 +322,14 @@ fn a_walk_that_never_sees_the_map() {
         "--out-report",
         "walk.html",
     ];
-    refused(
-        folder.path(),
-        &arguments,
-        &["elsewhere.mcap", "is it the map of this place"],
+    let words = ["elsewhere.mcap", "check that it is the map of this place"];
+    let found = found_unfit(folder.path(), &arguments, &words);
+    assert_eq!(found["code"], "localized", "{found}");
+    assert_eq!(found["where"], "elsewhere.mcap", "{found}");
+    let least = found["limit"]["at_least"].as_f64().expect("a limit");
+    assert!(
+        found["value"].as_f64().expect("a number") < least,
+        "{found}"
     );
     assert!(
         !folder.path().join("walk.html").exists(),
@@ -491,20 +495,19 @@ fn trajectories_that_cannot_be_compared() {
         .collect();
     for (name, text, words) in [
         (
-            "later.tum",
-            later.as_str(),
-            &["later.tum", "same clock"][..],
-        ),
-        (
             "columns.tum",
             "1 2 3\n",
-            &["columns.tum", "line 1", "expected 8"],
+            &["columns.tum", "line 1", "expected 8"][..],
         ),
         ("empty.tum", "", &["empty.tum", "no pose"]),
     ] {
         std::fs::write(path.join(name), text).expect("file");
         refused(path, &["eval", name, "--truth", "scan.tum"], words);
     }
+    std::fs::write(path.join("later.tum"), later).expect("file");
+    let arguments = ["eval", "later.tum", "--truth", "scan.tum"];
+    let found = found_unfit(path, &arguments, &["later.tum", "same clock"]);
+    assert_eq!(found["code"], "no-match", "{found}");
     refused(
         path,
         &["eval", "missing.tum", "--truth", "scan.tum"],

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::answer::json;
 use crate::process::lsfb;
-use crate::refusal::refused;
+use crate::refusal::{found_unfit, refused};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_rigs::walk::Walk;
@@ -135,7 +135,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         }
     }
     leaves.write(&path.join("leaves.mcap"), 0.0);
-    refuse(
+    refuse_data(
         path,
         "leaves.mcap",
         "by-hand.toml",
@@ -147,7 +147,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         scan.sample.points.clear();
     }
     blind.write(&path.join("blind.mcap"), 0.0);
-    refuse(path, "blind.mcap", "by-hand.toml", &["lidar", "too short"]);
+    refuse_data(path, "blind.mcap", "by-hand.toml", &["lidar", "too short"]);
 
     let mut unplaced = walk.rig.clone();
     unplaced.lidars.clear();
@@ -158,7 +158,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
     let camera = other.cameras.remove("cam0").expect("cam0");
     other.cameras.insert("cam7".to_owned(), camera);
     write_rig(&path.join("other.toml"), &other, Vector6::zeros());
-    refuse(
+    refuse_data(
         path,
         "scan.mcap",
         "other.toml",
@@ -167,17 +167,26 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
 
     std::fs::write(path.join("short.toml"), "longest_s = 3.0\n").expect("settings");
     let short = ["--config", "short.toml", "--rig", "by-hand.toml"];
-    refused(
+    found_unfit(
         path,
         &[&refine[..3], &["--out", "no.html"], &short].concat(),
         &["too short", "30 s"],
     );
 }
 
-fn refuse(folder: &Path, recording: &str, rig: &str, words: &[&str]) {
-    let arguments = [
+fn refine<'a>(recording: &'a str, rig: &'a str) -> [&'a str; 7] {
+    [
         "calib", "refine", recording, "--rig", rig, "--out", "no.html",
-    ];
-    refused(folder, &arguments, words);
+    ]
+}
+
+fn refuse(folder: &Path, recording: &str, rig: &str, words: &[&str]) {
+    refused(folder, &refine(recording, rig), words);
+    assert!(!folder.join("no.html").exists());
+}
+
+/// The same where what was recorded is unfit.
+fn refuse_data(folder: &Path, recording: &str, rig: &str, words: &[&str]) {
+    found_unfit(folder, &refine(recording, rig), words);
     assert!(!folder.join("no.html").exists());
 }

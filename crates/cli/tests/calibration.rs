@@ -3,7 +3,7 @@
 use crate::answer::json;
 use crate::board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
 use crate::process::lsfb;
-use crate::refusal::{contents, refused};
+use crate::refusal::{contents, found_unfit, refused};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::Rig;
 use lsfb_recording::{Writer, WriterConfig};
@@ -87,13 +87,13 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
 
     let mut other = CAMERA;
     other[3] = "8,6,0.03";
-    refused(
-        path,
-        &other,
-        &["left", "of 9 images, but 4 are needed", "8 × 6"],
-    );
+    let words = ["left", "of 9 images (at least 4)", "8 × 6"];
+    let found = found_unfit(path, &other, &words);
+    assert_eq!(found["code"], "target-not-seen", "{found}");
+    assert_eq!(found["limit"]["at_least"], 4.0, "{found}");
+    assert!(found["value"].as_f64().expect("a number") < 4.0, "{found}");
     blind(path, "right");
-    refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
+    found_unfit(path, &CAMERA, &["right", "found in 0 of 9 images"]);
 }
 
 /// Numbers that are right in other units only, before anything is read.
@@ -163,7 +163,8 @@ fn images_that_were_named_wrongly_are_refused() {
         arguments
     };
     let twice = cameras("left=left", "right=left");
-    refused(path, &twice, &["left and right show the same images"]);
+    let words = ["left and right: they show the same images"];
+    found_unfit(path, &twice, &words);
     std::fs::create_dir(path.join("empty")).expect("folder");
     refused(
         path,
@@ -179,7 +180,7 @@ fn images_that_were_named_wrongly_are_refused() {
         let from = path.join("right").join(format!("{k}.png"));
         std::fs::copy(from, path.join("late").join(format!("{}.png", k + 1))).expect("image");
     }
-    refused(
+    found_unfit(
         path,
         &cameras("left=left", "right=late"),
         &["their pairs are shifted", "took one instant before"],
@@ -242,7 +243,7 @@ fn a_failed_run_leaves_nothing_older_that_looks_new() {
     }
     std::fs::write(path.join("rig.toml"), &before[0]).expect("rig");
     blind(path, "right");
-    refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
+    found_unfit(path, &CAMERA, &["right", "found in 0 of 9 images"]);
     for (name, before) in results.iter().zip(&before) {
         assert!(!path.join(name).exists(), "{name}");
         let old = std::fs::read(path.join(format!("{name}.old"))).expect("the older one");
@@ -250,7 +251,7 @@ fn a_failed_run_leaves_nothing_older_that_looks_new() {
     }
     // A rig that is read as well is no result of this run.
     std::fs::write(path.join("rig.toml"), &before[0]).expect("rig");
-    refused(
+    found_unfit(
         path,
         &[&CAMERA[..], &["--rig", "rig.toml"]].concat(),
         &["right"],

@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use crate::answer::json;
 use crate::inlier_lines::hold_against_poses;
 use crate::process::lsfb;
-use crate::refusal::refused;
+use crate::refusal::found_unfit;
 use crate::session::with;
 use serde_json::Value;
 
@@ -64,7 +64,7 @@ fn exit_codes_are_in_the_help() {
         ("1", "failed"),
         ("2", "bad"),
         ("3", "finished"),
-        ("4", "finished"),
+        ("4", "a check of the data failed"),
         ("129, 130, 143", "stopped"),
     ] {
         let mut lines = text
@@ -328,7 +328,7 @@ fn maps_that_stand_are_shown_exported_and_cut_and_joined_with_no_part_of_themsel
     assert!(said(&lsfb(path, &turned)).contains("smallest coordinates first"));
     // Naively each observation of that half stood twice in the result.
     let joined = ["map", "merge", "map", "half", "--out", "both"];
-    refused(
+    found_unfit(
         path,
         &joined,
         &["same images", "part of the other", "whole one"],
@@ -386,7 +386,7 @@ fn maps_are_pruned_and_looked_at() {
     assert!(small["keyframe_sigma"].is_object(), "{small}");
     let none = ["map", "prune", "map", "--size-mb", "0.01", "--out", "none"];
     let refused = lsfb(path, &none);
-    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(refused.status.code(), Some(4));
     assert!(
         self::said(&refused).contains("MB or more"),
         "{}",

@@ -227,7 +227,7 @@ fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
 
     fs::write(&samples, scaled(&text, 1..4, 1f64.to_degrees())).expect("samples");
     let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "d.tum"]);
-    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(refused.status.code(), Some(4));
     let why = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(
         why.contains("in degrees per second") && !at.join("d.tum").exists(),
@@ -307,7 +307,7 @@ fn a_pause_of_the_imu_parts_the_walk_and_is_said() {
     // Without the longest part's neighbours nothing is left.
     change_samples(at, |secs, all| (secs % 1.0 < 0.4).then_some(all));
     let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "p.tum"]);
-    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(refused.status.code(), Some(4));
     let why = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(why.contains("no IMU samples"), "{why}");
 }
@@ -328,7 +328,7 @@ fn an_axis_of_the_gyroscope_with_the_wrong_sign_is_named() {
         Some(all)
     });
     let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "z.tum"]);
-    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(refused.status.code(), Some(4));
     let why = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(why.contains("about its z axis"), "{why}");
     assert!(!at.join("z.tum").exists());

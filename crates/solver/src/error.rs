@@ -1,3 +1,5 @@
+use lsfb_types::{Finding, Verdict};
+
 /// What is wrong with a problem. Values stay as they were before the call that failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -168,4 +170,17 @@ pub enum Error {
         /// Index of the residual.
         residual: usize,
     },
+}
+
+impl Error {
+    /// What was found, where what was measured is to blame, not how the problem was put.
+    pub fn finding(&self) -> Option<Finding> {
+        let code = match self {
+            Self::NotConverged { .. } => "not-converged",
+            Self::Undetermined { .. } => "undetermined",
+            _ => return None,
+        };
+        let found = Finding::new(code, Verdict::Fail, "", self.to_string());
+        Some(found.remedy("check stamps, axes and intrinsics, and record more, from more sides"))
+    }
 }

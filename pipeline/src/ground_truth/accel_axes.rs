@@ -11,8 +11,8 @@ use nalgebra::SMatrix;
 
 use super::sensor_axes::{Measured, as_it_is, fit, usually_left, wrong_axis};
 use super::walk::Walk;
-use crate::Error;
 use crate::preintegration::standard_gravity_m_s2;
+use crate::{Error, Refusal};
 
 /// From the middle of three places to the others, seconds: where the second difference of positions tells most.
 const NEAREST_SECS: f64 = 0.2;
@@ -38,11 +38,11 @@ pub(super) struct Misread {
 
 impl Misread {
     pub fn refusal(self, path: &Path) -> Error {
-        Error::AccelContradicts {
+        Error::Refused(Refusal::AccelContradicts {
             path: path.to_owned(),
             axis: self.axis,
             felt: self.felt,
-        }
+        })
     }
 }
 

@@ -20,9 +20,9 @@ use super::estimate::Estimate;
 use super::optimization::{choose_observations, optimize};
 use super::uncertainty::{Deviations, of_stretch};
 use super::walk::{LocalObservation, LocalPoint, Walk};
-use crate::Error;
 use crate::frames::times_apart;
 use crate::worst_sigma::worst_sigmas;
+use crate::{Error, Refusal};
 
 /// Frames that are checked are this far apart, seconds: neighbours see the same points, and share their errors.
 const STEP_SECS: f64 = 0.095;
@@ -292,7 +292,9 @@ impl Stretch {
             let (walk, points) = (&self.walk, &self.points);
             let solved = match optimize(walk, &self.estimate, points, None, config, &no_progress) {
                 Ok(solved) => solved,
-                Err(Error::NotConverged { .. } | Error::Solver(_)) => return Ok(None),
+                Err(Error::Refused(Refusal::NotConverged { .. }) | Error::Solver(_)) => {
+                    return Ok(None);
+                }
                 Err(other) => return Err(other),
             };
             (self.estimate, self.points) = (solved.estimate, solved.points);

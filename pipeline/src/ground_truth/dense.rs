@@ -5,8 +5,8 @@ use lsfb_types::Timestamp;
 
 use super::optimization::Optimized;
 use super::walk::{FrameState, Walk};
-use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
+use crate::{Error, Refusal};
 
 /// Motion of the device at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -137,7 +137,7 @@ impl Way<'_> {
         let (imu, noise) = (&self.walk.imu, &self.walk.noise);
         let sum = match PreintegratedImu::integrate(imu, self.from, time, *bias, noise) {
             Ok(sum) => sum,
-            Err(Error::ImuGap { .. }) => return Ok(None),
+            Err(Error::Refused(Refusal::ImuGap { .. })) => return Ok(None),
             Err(other) => return Err(other),
         };
         let errors = &self.solved.imu_errors;

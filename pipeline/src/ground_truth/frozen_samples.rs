@@ -7,7 +7,7 @@ use lsfb_geometry::Vector3;
 use lsfb_types::{ImuSample, Stamped};
 
 use super::frozen_images::RESTING_RAD_S;
-use crate::Error;
+use crate::{Error, Refusal};
 
 /// Sensors that hold a reading until the next, and those of few digits, repeat theirs for less than this, seconds.
 const LONGEST_HELD_SECS: f64 = 0.7;
@@ -63,7 +63,7 @@ impl Sensor {
 
 /// Takes out the samples of which an axis repeats one reading for too long while the device moved; returns for how many seconds that was.
 ///
-/// [`Error::FrozenSensor`] where hardly any are left.
+/// [`Refusal::FrozenSensor`] where hardly any are left.
 pub(super) fn take_out(imu: &mut Vec<Stamped<ImuSample>>) -> Result<f64, Error> {
     let mut is_frozen = vec![false; imu.len()];
     let (mut frozen_secs, mut longest) = (0.0, None);
@@ -99,11 +99,12 @@ pub(super) fn take_out(imu: &mut Vec<Stamped<ImuSample>>) -> Result<f64, Error> 
     }
     let left = is_frozen.iter().filter(|frozen| !**frozen).count();
     if (left as f64) < LEAST_LEFT * imu.len() as f64 {
-        return Err(Error::FrozenSensor {
+        return Err(Refusal::FrozenSensor {
             sensor: sensor.name(),
             secs,
             of_secs: times[times.len() - 1].secs_since(times[0]),
-        });
+        }
+        .into());
     }
     let mut frozen = is_frozen.iter();
     imu.retain(|_| frozen.next() != Some(&true));

@@ -35,7 +35,7 @@ pub struct RecordedWalk {
 impl RecordedWalk {
     /// Reads samples and images, and finds the features that the settings name.
     ///
-    /// [`Error::SensorMissing`] without cameras, and where the rig file does not have the IMU that was recorded; [`Error::FrozenSensor`] where the IMU repeats itself.
+    /// [`Error::SensorMissing`] without cameras, and where the rig file does not have the IMU that was recorded; [`crate::Refusal::FrozenSensor`] where the IMU repeats itself.
     pub fn read(
         recording: &Recording,
         config: &GroundTruthConfig,

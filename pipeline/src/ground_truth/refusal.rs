@@ -13,7 +13,7 @@ use super::report::LeftOutReason;
 use super::start::Start;
 use super::trusted::Trusted;
 use super::walk::Walk;
-use crate::Error;
+use crate::{Error, Refusal};
 
 /// What is known of a solved walk that may be refused.
 pub(super) struct Judged<'a> {
@@ -45,17 +45,18 @@ impl Judged<'_> {
         }
         let reason = self.trusted.main_reason();
         if reason == Some(LeftOutReason::MapPartsDisagree)
-            && let Some(imu) = self.failed_imu()
+            && let Some(failures) = self.failed_imu()
         {
-            return Some(Error::ImuContradicts {
+            let refusal = Refusal::ImuContradicts {
                 path: path(),
                 frames,
                 moved_m: moved_m(),
-                imu,
-            });
+                failures,
+            };
+            return Some(refusal.into());
         }
-        Some(match reason {
-            _ if is_unchecked => Error::FewRecognised {
+        let refusal = match reason {
+            _ if is_unchecked => Refusal::FewRecognised {
                 path: path(),
                 recognised,
                 frames,
@@ -70,23 +71,24 @@ impl Judged<'_> {
             {
                 self.points_absent(config)
             }
-            Some(LeftOutReason::MapPartsDisagree) => Error::MapPartsDisagree {
+            Some(LeftOutReason::MapPartsDisagree) => Refusal::MapPartsDisagree {
                 path: path(),
                 frames,
                 moved_m: moved_m(),
                 limit_m: config.max_disagreement_m,
             },
             Some(LeftOutReason::PointsAbsent) => self.points_absent(config),
-            _ => Error::NothingCertain {
+            _ => Refusal::NothingCertain {
                 path: path(),
                 frames,
                 limit_m: config.max_position_sigma_m,
             },
-        })
+        };
+        Some(refusal.into())
     }
 
-    fn points_absent(&self, config: &GroundTruthConfig) -> Error {
-        Error::PointsAbsent {
+    fn points_absent(&self, config: &GroundTruthConfig) -> Refusal {
+        Refusal::PointsAbsent {
             path: self.path.to_owned(),
             points: self.in_view.points,
             absent_percent: 100.0 * self.in_view.absent_share(),
@@ -95,14 +97,9 @@ impl Judged<'_> {
     }
 
     /// What is wrong with the IMU so far that the walk fails by it alone.
-    fn failed_imu(&self) -> Option<String> {
+    fn failed_imu(&self) -> Option<Vec<Finding>> {
         let findings = self.imu?.findings().into_iter();
         let failed: Vec<Finding> = findings.filter(|f| f.verdict == Verdict::Fail).collect();
-        let said = failed.iter().map(|f| match &f.remedy {
-            Some(remedy) => format!("{}; {remedy}", f.what),
-            None => f.what.clone(),
-        });
-        let said: Vec<String> = said.collect();
-        (!said.is_empty()).then(|| said.join("; "))
+        (!failed.is_empty()).then_some(failed)
     }
 }

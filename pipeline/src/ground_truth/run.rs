@@ -29,20 +29,21 @@ use super::warnings::{not_checked, out_of_reach, warnings};
 use super::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, Solved, solve_walk,
 };
-use crate::Error;
 use crate::features::{Feature, Features};
 use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
 use crate::kept_stages::KeptStages;
 use crate::localization::{Localization, Localizer, localize_frames_apart, localize_near};
 use crate::residuals::MovingCamera;
+use crate::{Error, Refusal};
 
 /// Refuses maps in which no walk is to be solved: those that failed when they were made, and those of other features.
 fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Result<(), Error> {
     if !map.failures().is_empty() && !config.accept_failed_map {
-        return Err(Error::FailedMap {
+        return Err(Refusal::FailedMap {
             failures: map.failures().to_vec(),
-        });
+        }
+        .into());
     }
     map.expect_feature(feature)
 }
@@ -56,8 +57,8 @@ fn wanted_feature(config: &GroundTruthConfig) -> Feature {
 
 /// Where the device was at each of its images, in the world of the map.
 ///
-/// [`Error::FailedMap`] of a map that failed when it was made; [`Error::WrongFeature`] of one with other features than the settings name;
-/// [`Error::NotLocalized`] where too few images show the map; [`Error::AccelContradicts`] where a walk is refused and axes of the accelerometer explain it; [`Error::SensorMissing`] without cameras. Without an IMU images alone
+/// [`Refusal::FailedMap`] of a map that failed when it was made; [`Error::WrongFeature`] of one with other features than the settings name;
+/// [`Refusal::NotLocalized`] where too few images show the map; [`Refusal::AccelContradicts`] where a walk is refused and axes of the accelerometer explain it; [`Error::SensorMissing`] without cameras. Without an IMU images alone
 /// say where the device was, and a warning that they do.
 pub fn ground_truth(
     recording: &Recording,
@@ -98,7 +99,7 @@ pub fn ground_truth_of(
 /// Walks through one map, solved together: what two of them see is one point, which holds them together. Each is solved and judged by itself
 /// before, and judged again. What becomes of each, in their order; beside each walk stands what is kept of it, as in [`ground_truth_in_stages`].
 ///
-/// As [`ground_truth`]; [`Error::FailedAlone`] where a walk by itself must not be used, [`Error::OtherWalk`] where one but the first is refused.
+/// As [`ground_truth`]; [`Refusal::FailedAlone`] where a walk by itself must not be used, [`Error::OtherWalk`] where one but the first is refused.
 pub fn ground_truth_together(
     walks: &[(&Recording, &KeptStages)],
     map: &HdMap,
@@ -171,10 +172,11 @@ impl<'a> AloneInMap<'a> {
         let findings = given.report.findings().into_iter();
         let mut failed = findings.filter(|found| found.verdict == Verdict::Fail);
         if let Some(failed) = failed.next() {
-            return Err(Error::FailedAlone {
+            return Err(Refusal::FailedAlone {
                 path: recorded.path.clone(),
-                what: failed.sentence(),
-            });
+                failed: Box::new(failed),
+            }
+            .into());
         }
         Ok(Self {
             attempt,
@@ -347,12 +349,12 @@ impl<'a> Attempt<'a> {
         let map = localizer.map();
         let count = localized.iter().flatten().count();
         if count < config.min_localized_frames {
-            return Err(Error::NotLocalized {
+            return Err(Error::Refused(Refusal::NotLocalized {
                 path: path.clone(),
                 frames: self.tried(0..read.frames.len()),
                 localized: count,
                 needed: config.min_localized_frames,
-            });
+            }));
         }
 
         let range = frames_in_reach(&read.frames, localized, config);
@@ -375,7 +377,7 @@ impl<'a> Attempt<'a> {
         };
         let start = start_states(&walk, config, progress)?;
         let start = accepted(start, count, path, config).map_err(|error| match error {
-            Error::MapDisagrees { .. } => match misread_axis(&walk) {
+            Error::Refused(Refusal::MapDisagrees { .. }) => match misread_axis(&walk) {
                 Some(misread) => misread.refusal(path),
                 None => error,
             },
@@ -486,13 +488,15 @@ impl<'a> Attempt<'a> {
         };
         let other_place = found.as_ref().map(|(other, _)| *other);
         let alike = other_place.filter(|other| other.is_possible(config.min_place_margin));
-        let alike = alike.map(|other| Error::LooksAlike {
-            path: path.clone(),
-            matches_here: other.matches_here,
-            matches_there: other.matches_there,
-            away_m: other.away_m,
-            turn_deg: other.turn_deg,
-            margin: config.min_place_margin,
+        let alike = alike.map(|other| {
+            Error::Refused(Refusal::LooksAlike {
+                path: path.clone(),
+                matches_here: other.matches_here,
+                matches_there: other.matches_there,
+                away_m: other.away_m,
+                turn_deg: other.turn_deg,
+                margin: config.min_place_margin,
+            })
         });
         if let Some(error) = refusal.or(alike) {
             let there = found.filter(|(other, _)| is_elsewhere && other.is_seen);
@@ -561,24 +565,29 @@ fn accepted(
 ) -> Result<Start, Error> {
     let path = || path.to_owned();
     let agreeing = start.as_ref().map_or(0, |start| start.accepted_count);
-    let needed = config.min_agreeing_share * localized as f64;
+    let needed = (config.min_agreeing_share * localized as f64).ceil() as usize;
+    let needed = needed.max(config.min_localized_frames);
     match start {
-        Some(start) if agreeing >= config.min_localized_frames && agreeing as f64 >= needed => {
+        Some(start) if agreeing >= needed => {
             let rival = start.rival_count;
             if (agreeing as f64) < config.min_rival_margin * rival as f64 {
-                return Err(Error::AmbiguousPlace {
+                return Err(Refusal::AmbiguousPlace {
                     path: path(),
                     agreeing,
                     rival,
-                });
+                    margin: config.min_rival_margin,
+                }
+                .into());
             }
             Ok(start)
         }
-        _ => Err(Error::MapDisagrees {
+        _ => Err(Refusal::MapDisagrees {
             path: path(),
             localized,
             rejected: localized - agreeing,
-        }),
+            most: localized.saturating_sub(needed),
+        }
+        .into()),
     }
 }
 

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
-use crate::Error;
 pub(super) use crate::inertial_blocks::FrameState;
 use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::residuals::MovingCamera;
+use crate::{Error, Refusal};
 
 /// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
 #[derive(Clone)]
@@ -134,7 +134,7 @@ impl Walk {
                     sum.covariance *= factor * factor;
                     Some(sum)
                 }
-                Err(Error::ImuGap { .. }) => None,
+                Err(Error::Refused(Refusal::ImuGap { .. })) => None,
                 Err(other) => return Err(other),
             });
         }

@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::build::{MapRows, PointRow};
 use super::{HdMap, MapObservation};
-use crate::Error;
 use crate::descriptor_index::IndexConfig;
 use crate::features::DESCRIPTOR_LEN;
+use crate::{Error, Refusal};
 
 /// Bytes of a point in `points.arrow`, of an observation, and of a descriptor with its entry in the index but for its code (`FORMAT.md`).
 const POINT_BYTES: usize = 76;
@@ -252,7 +252,7 @@ fn enough<'a>(
             let (keyframe, camera) = view;
             let time = rows.keyframes.get(keyframe as usize).map(|k| k.time);
             let camera = rows.rig.cameras.keys().nth(usize::from(camera));
-            return Err(Error::MapBudget {
+            return Err(Refusal::MapBudget {
                 keyframe,
                 time: time.unwrap_or_default(),
                 camera: camera.cloned().unwrap_or_default(),
@@ -260,7 +260,8 @@ fn enough<'a>(
                 needed: needed(&view),
                 // Rounded up, so that what is said is enough.
                 smallest_mb: (all as f64 / 1e4).ceil() / 100.0,
-            });
+            }
+            .into());
         }
     }
     Ok(&order[..fitting])

@@ -12,7 +12,7 @@ use super::prepared_image::{
 };
 use super::reconstruction_config::ReconstructionConfig;
 use super::scene_depth::{depth_pairs, scene_depth};
-use crate::error::{Error, MIN_MAP_POINTS};
+use crate::error::{Error, MIN_MAP_POINTS, Refusal};
 use crate::features::tracks::{ImagePair, Track, build_tracks};
 use crate::features::triangulation::{TriangulationConfig, View, triangulate};
 
@@ -135,12 +135,7 @@ pub(crate) fn expect_map(points: &[MapPoint], images: &[KeyframeImage]) -> Resul
         return Ok(());
     }
     let features = images.iter().map(|i| i.features.len()).sum();
-    Err(Error::too_few_points(
-        confirmed,
-        images.len(),
-        features,
-        false,
-    ))
+    Err(Refusal::too_few_points(confirmed, images.len(), features, false).into())
 }
 
 fn depth_of(images: &[PreparedImage], config: &ReconstructionConfig) -> Result<f64, Error> {
@@ -148,7 +143,7 @@ fn depth_of(images: &[PreparedImage], config: &ReconstructionConfig) -> Result<f
     let pairs = depth_pairs(&poses, config);
     scene_depth(images, &pairs, config).ok_or_else(|| {
         let features: usize = images.iter().map(|i| i.rays.len()).sum();
-        Error::too_few_points(0, images.len(), features, pairs.is_empty())
+        Refusal::too_few_points(0, images.len(), features, pairs.is_empty()).into()
     })
 }
 

@@ -5,9 +5,9 @@ use lsfb_geometry::{Camera, CameraTiming, Matrix6, Rig, RigCamera, Se3, StampedP
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
-use crate::Error;
 use crate::descriptor_index::IndexConfig;
 use crate::features::{Feature, Features, Keypoint};
+use crate::{Error, Refusal};
 
 /// Two pinhole cameras that look along z.
 fn rig() -> Rig {
@@ -305,12 +305,12 @@ fn a_size_that_empties_views_is_refused_with_one_that_does_not() {
     let prune = |bytes: usize| map.prune(bytes, &config, &no_progress);
     for bytes in [1, 100_000, 200_000] {
         let refused = prune(bytes).expect_err("too small");
-        let Error::MapBudget {
+        let Error::Refused(Refusal::MapBudget {
             points,
             needed,
             smallest_mb,
             ..
-        } = refused
+        }) = refused
         else {
             panic!("{refused}")
         };

@@ -216,11 +216,11 @@ mod tests {
     use super::super::outcome::FeatureMatch;
     use super::super::{Localizer, LocalizerConfig};
     use super::*;
-    use crate::Error;
     use crate::features::{Feature, Features, FrameFeatures, Keypoint, KeypointGrid};
     use crate::hd_map::{
         HdMap, HdMapConfig, KeyframeImage, MapContent, MapPoint, PointObservation,
     };
+    use crate::{Error, Refusal};
 
     /// By how much the given poses of the first pass are off along x, and those of the second the other way.
     const DRIFT_M: f64 = 0.03;
@@ -402,7 +402,10 @@ mod tests {
         let of_all = found(POINTS as usize).expect("known");
         assert!(of_all.translation_m > 0.1 * DRIFT_M, "{of_all:?}");
         let few = found(FEWEST_POINTS - 1);
-        assert!(matches!(few, Err(Error::MapErrorUnknown { .. })), "{few:?}");
+        assert!(
+            matches!(few, Err(Error::Refused(Refusal::MapErrorUnknown { .. }))),
+            "{few:?}"
+        );
     }
 
     #[test]

@@ -9,12 +9,12 @@ use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReaso
 use super::prior::PoseKnowledge;
 use super::ransac::estimate_known_pose;
 use super::voting::{Candidates, Places, Vote};
-use crate::Error;
 use crate::camera_fit::principal_point_fits;
 use crate::descriptor_index::SearchScratch;
 use crate::features::matching::DESCRIPTOR_NORM;
 use crate::features::{FrameFeatures, KeypointGrid};
 use crate::hd_map::{HdMap, MapNeighbour};
+use crate::{Error, Refusal};
 
 /// Finds poses in a map. Shared by threads; needs no order of queries.
 #[derive(Clone, Debug)]
@@ -79,7 +79,7 @@ impl Localizer {
     pub fn new(map: &HdMap, config: &LocalizerConfig) -> Result<Self, Error> {
         config.check_bounds("localizer")?;
         let map_error = MapError::of(map, &config.ransac.refinement);
-        let map_error = map_error.ok_or(Error::MapErrorUnknown {
+        let map_error = map_error.ok_or(Refusal::MapErrorUnknown {
             needed: FEWEST_POINTS,
         })?;
         Ok(Self {

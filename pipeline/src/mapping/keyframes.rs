@@ -8,12 +8,12 @@ use lsfb_recording::Recording;
 use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
 
 use super::{MappingConfig, MappingWarning};
-use crate::Error;
 use crate::features::{FeatureDetector, Features};
 use crate::frames::clock_offsets_ns;
 use crate::hd_map::{KeyframeImage, MapPoint};
 use crate::lidar_features::LidarFeatures;
 use crate::odometry::Damages;
+use crate::{Error, Refusal};
 
 /// A moment whose pose is optimised: images of different times belong to different keyframes.
 pub(super) struct Keyframe {
@@ -121,10 +121,11 @@ pub(super) fn find_cameras(
         }
     }
     if names.is_empty() {
-        return Err(Error::NoImages {
+        return Err(Refusal::NoImages {
             path: recording.path().to_owned(),
             rig: rig.name.clone(),
-        });
+        }
+        .into());
     }
     Ok(names)
 }

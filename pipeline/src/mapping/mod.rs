@@ -37,7 +37,7 @@ use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use sha2::{Digest, Sha256};
 
 use crate::bending::bent;
-use crate::error::Error;
+use crate::error::{Error, Refusal};
 use crate::features::FeatureDetector;
 use crate::hd_map::{HdMap, MapContent};
 use crate::kept_stages::KeptStages;
@@ -188,9 +188,10 @@ pub fn build_map_in_stages(
         Ok((keyframes, damages.into_sentences()))
     })?;
     if keyframes.images.is_empty() {
-        return Err(Error::NoKeyframe {
+        return Err(Refusal::NoKeyframe {
             path: recording.path().to_owned(),
-        });
+        }
+        .into());
     }
     let damaged = damaged.into_iter();
     report
@@ -407,10 +408,12 @@ fn reached(recording: &Recording, given: &Trajectory) -> Result<MappingReport, E
     }
     let share = reached as f64 / scans.max(1) as f64;
     if share < LEAST_REACHED {
-        return Err(Error::StartElsewhere {
+        return Err(Refusal::StartElsewhere {
             path: recording.path().to_owned(),
             share,
-        });
+            least: LEAST_REACHED,
+        }
+        .into());
     }
     let missing = scans - reached;
     // The first scan may begin before the first pose.

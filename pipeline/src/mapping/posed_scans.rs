@@ -11,8 +11,8 @@ use super::rounds::{RESTING_DEG, RESTING_M, largest_move};
 use super::scan_pairs::{Compared, scan_correspondences, scan_pairs};
 use super::weights::{Contradicted, Weights, lidar_residuals};
 use super::{LidarResiduals, MappingConfig};
-use crate::Error;
 use crate::lidar_features::{LidarFeatureConfig, LidarFeatures};
+use crate::{Error, Refusal};
 
 /// A scan without motion in it, and where it is thought to have been taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -164,7 +164,7 @@ pub fn refine_scan_poses(
     config.check_bounds("scan_poses")?;
     if scans.len() < 2 {
         let scans = scans.len();
-        return Err(Error::TooFewScans { scans });
+        return Err(Refusal::TooFewScans { scans }.into());
     }
     let mapping = MappingConfig {
         odometry_rotation_sigma_deg: config.rotation_sigma_deg,

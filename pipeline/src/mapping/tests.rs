@@ -304,7 +304,10 @@ fn a_start_that_drifts_comes_back() {
         ..*pose
     });
     let refused = build(&Trajectory::new(elsewhere.collect()));
-    assert!(matches!(refused, Err(Error::StartElsewhere { .. })));
+    assert!(matches!(
+        refused,
+        Err(Error::Refused(Refusal::StartElsewhere { .. }))
+    ));
 }
 
 #[test]

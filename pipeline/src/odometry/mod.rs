@@ -55,7 +55,7 @@ pub use run::{
 pub use unseen::UnseenStretch;
 pub use warning::OdometryWarning;
 
-use crate::Error;
+use crate::{Error, Refusal};
 use degeneracy::ScanInformation;
 use first_second::FirstSecond;
 use free_space::FreeSpace;
@@ -379,13 +379,14 @@ impl Odometry {
             .iter()
             .map(|p| p.time_offset_ns)
             .max()
-            .ok_or(Error::EmptyScan { time: scan.time })?;
+            .ok_or(Refusal::EmptyScan { time: scan.time })?;
         let end = scan.time.plus_nanos(i64::from(last_offset_ns));
         match self.last {
-            Some(last) if last.time >= end => Err(Error::ScanOrder {
+            Some(last) if last.time >= end => Err(Refusal::ScanOrder {
                 time: end,
                 previous: last.time,
-            }),
+            }
+            .into()),
             _ => Ok(end),
         }
     }

@@ -7,7 +7,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 use super::inertial::InertialFilter;
 use super::learned_start::KnownBias;
 use super::uncertainty::ConstantMotionCovariance;
-use crate::Error;
+use crate::{Error, Refusal};
 
 /// How motion between scans is predicted.
 #[derive(Clone, Debug)]
@@ -49,7 +49,7 @@ impl InertialMotion {
         }
         let before_end = self.samples.partition_point(|s| s.time <= end);
         let mut filter = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
-            .ok_or(Error::ImuMissing { time: end })?;
+            .ok_or(Refusal::ImuMissing { time: end })?;
         if let Some(known) = &self.gyro_bias {
             filter.knows_bias(known);
         }

@@ -11,8 +11,8 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 use nalgebra::{SMatrix, Vector6};
 
-use crate::Error;
 use crate::imu_reading::Reading;
+use crate::{Error, Refusal};
 
 /// 9 × 9, ordered rotation, velocity, position.
 pub type Matrix9 = SMatrix<f64, 9, 9>;
@@ -263,7 +263,7 @@ impl PreintegratedImu {
 
     /// Integrates `samples`, which are in order of time and reach from `start` to `end`.
     ///
-    /// [`Error::ImuGap`] where they leave more than 50 ms open, at an end or between.
+    /// [`Refusal::ImuGap`] where they leave more than 50 ms open, at an end or between.
     pub fn integrate(
         samples: &[Stamped<ImuSample>],
         start: Timestamp,
@@ -468,10 +468,12 @@ fn set(matrix: &mut Matrix9, row: usize, column: usize, block: &Matrix3<f64>) {
 }
 
 fn check_coverage(readings: &[Reading], start: Timestamp, end: Timestamp) -> Result<(), Error> {
-    let gap = |from: Timestamp, to: Timestamp| Error::ImuGap {
-        from,
-        to,
-        longest_secs: LONGEST_PAUSE_SECS,
+    let gap = |from: Timestamp, to: Timestamp| {
+        Error::Refused(Refusal::ImuGap {
+            from,
+            to,
+            longest_secs: LONGEST_PAUSE_SECS,
+        })
     };
     if readings.len() < 2 || end <= start {
         return Err(gap(start, end));

@@ -337,10 +337,11 @@ fn a_gap_is_named() {
     );
     assert!(matches!(
         integrate(&samples, 1_200_000_000),
-        Err(Error::ImuGap { .. })
+        Err(Error::Refused(Refusal::ImuGap { .. }))
     ));
     samples.drain(60..80);
-    let Err(Error::ImuGap { from, to, .. }) = integrate(&samples, 900_000_000) else {
+    let Err(Error::Refused(Refusal::ImuGap { from, to, .. })) = integrate(&samples, 900_000_000)
+    else {
         panic!("a gap of 105 ms");
     };
     assert_eq!((from.nanos(), to.nanos()), (295_000_000, 400_000_000));

@@ -5,9 +5,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::Codebook;
-use crate::Error;
 use crate::descriptor_index::kmeans::{sample, train};
 use crate::features::{DESCRIPTOR_LEN, Descriptor};
+use crate::{Error, Refusal};
 
 /// Rounds of k-means.
 const ROUNDS: usize = 40;
@@ -15,7 +15,7 @@ const ROUNDS: usize = 40;
 const PER_WORD: usize = 4000;
 
 impl Codebook {
-    /// As many words as wanted; the same descriptors and seed give the same on any number of threads. [`Error::FewDescriptors`] where
+    /// As many words as wanted; the same descriptors and seed give the same on any number of threads. [`Refusal::FewDescriptors`] where
     /// there are fewer than ten for each word.
     pub fn train(
         descriptors: &[Descriptor],
@@ -25,10 +25,11 @@ impl Codebook {
     ) -> Result<Self, Error> {
         let needed = 10 * words.max(1);
         if descriptors.len() < needed {
-            return Err(Error::FewDescriptors {
+            return Err(Refusal::FewDescriptors {
                 count: descriptors.len(),
                 needed,
-            });
+            }
+            .into());
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let chosen = sample(descriptors.len(), PER_WORD * words.max(1), &mut rng);
@@ -69,6 +70,9 @@ mod tests {
             "{means:?}"
         );
         let few = Codebook::train(&descriptors[..15], 2, 1, &lsfb_types::no_progress);
-        assert!(matches!(few, Err(Error::FewDescriptors { .. })));
+        assert!(matches!(
+            few,
+            Err(Error::Refused(Refusal::FewDescriptors { .. }))
+        ));
     }
 }

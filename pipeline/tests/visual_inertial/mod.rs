@@ -12,11 +12,11 @@ use std::path::PathBuf;
 
 use lsfb_geometry::align::{Alignment, Scale, umeyama};
 use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
-use lsfb_pipeline::Error;
 use lsfb_pipeline::ground_truth::{
     Beginning, Motion, MotionConfig, TrackedWalk, motion_without_map,
 };
 use lsfb_pipeline::preintegration::{ImuBias, NavState};
+use lsfb_pipeline::{Error, Refusal};
 use lsfb_types::{ImuSample, no_progress};
 use nalgebra::{SMatrix, SVector};
 
@@ -302,7 +302,7 @@ fn tracks_and_samples_that_contradict_each_other_begin_nothing() {
         let found = found.map(|m| (m.beginning, m.errors.rms_px, m.points, m.contradicted_share));
         println!("{what}: {found:?}");
         assert!(
-            matches!(found, Err(Error::NoBeginning { .. })),
+            matches!(found, Err(Error::Refused(Refusal::NoBeginning { .. }))),
             "{what}: {found:?}"
         );
     }

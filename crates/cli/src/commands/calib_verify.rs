@@ -2,17 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{bail, ensure};
 use lsfb_calib::verify::{MeasuredClock, VerifyConfig, verify};
 use lsfb_geometry::Rig;
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::Verdict;
+use lsfb_types::{Finding, Verdict};
 use serde::Serialize;
 
 use super::calib_result::Results;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::refused::Refused;
 
 /// Check a rig on any recording, without a board.
 ///
@@ -152,23 +152,25 @@ fn write_clocks(
     config: &VerifyConfig,
     context: &Context,
 ) -> anyhow::Result<()> {
-    ensure!(
-        !clocks.is_empty(),
-        "{}: no camera's clock could be measured to half a millisecond, constant in time and with correct axes, so that no rig is written; the checks give the reasons",
-        out.display()
-    );
+    let refused = |what: String, remedy: &str| {
+        let subject = out.display().to_string();
+        Refused(Finding::new("time-offset", Verdict::Fail, subject, what).remedy(remedy))
+    };
+    if clocks.is_empty() {
+        let what = "no camera's clock could be measured to half a millisecond, constant in time and with correct axes, so that no rig is written";
+        return Err(refused(what.to_owned(), "see the page: its checks give the reasons").into());
+    }
     let again = verify(recording, rig, config, &|p| context.show(p))?;
     let failed = again
         .checks
         .iter()
         .find(|c| c.code == "time-offset" && c.outcome == Verdict::Fail);
     if let Some(check) = failed {
-        bail!(
-            "{}: not written, because the rig does not fit with the measured clocks either: {}: {}",
-            out.display(),
-            check.name,
-            check.sentence
+        let what = format!(
+            "not written, because the rig does not fit with the measured clocks either: {}: {}",
+            check.name, check.sentence
         );
+        return Err(refused(what, "calibrate the cameras anew").into());
     }
     let measured: String = clocks
         .iter()

@@ -24,6 +24,7 @@ use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
+use crate::refused::Refused;
 use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
@@ -32,7 +33,7 @@ use crate::standing;
 /// code is then 3 and the findings say why. Exit code 4: do not use the trajectory, because the map's
 /// scale differs from the IMU's by more than 5 % (map-scale), images and IMU agree only with IMU errors
 /// above 12 σ (imu-errors), a camera is more than 10 σ off the rig file (camera-off), or the barometer
-/// puts part of the walk on another floor (barometer).
+/// puts part of the walk on another floor (barometer); or there is none, because the walk was refused.
 ///
 /// The finding place-not-checked says for how long the place could not be told from one built alike;
 /// looks-alike warns of a walk that fits nearly as well elsewhere. Trust those poses only if there is
@@ -332,11 +333,15 @@ fn said_of(
         let surroundings = Surroundings::of(recording, found, heard)?;
         let failed = surroundings.findings().find(|f| f.verdict == Verdict::Fail);
         if let (Some(failed), true) = (failed, recordings.len() > 1) {
-            bail!(
-                "{}: this walk must not be solved together with others, which it would bend: {}",
-                recording.path().display(),
-                failed.sentence()
-            );
+            let refused = Finding {
+                what: format!(
+                    "this walk must not be solved together with others, which it would bend: {}",
+                    failed.what
+                ),
+                subject: recording.path().display().to_string(),
+                ..failed
+            };
+            return Err(Refused(refused).into());
         }
         all.push(Said {
             report: found.report.clone(),

@@ -6,9 +6,10 @@ use lsfb_geometry::Trajectory;
 use lsfb_pipeline::odometry::scan_count;
 use lsfb_pipeline::surface::{SurfaceBuilder, SurfaceConfig};
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::Progress;
+use lsfb_types::{Finding, Progress, Verdict};
 
 use crate::context::Context;
+use crate::refused::Refused;
 
 /// Inserts all scans that the trajectory reaches, and counts them.
 pub fn insert_scans(
@@ -72,13 +73,17 @@ pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
 /// Refuses a trajectory, or clouds, with which something was found wrong when they were made, as the provenance beside them says.
 pub fn expect_sound(trajectory: &Path) -> anyhow::Result<()> {
     let failures = provenance_of(trajectory).map_or_else(Vec::new, |p| p.failures);
-    anyhow::ensure!(
-        failures.is_empty(),
-        "{} failed its checks when it was made ({}), and everything made from it would be wrong too; fix that, and make it again",
-        trajectory.display(),
+    if failures.is_empty() {
+        return Ok(());
+    }
+    let what = format!(
+        "failed its checks when it was made ({}), and everything made from it would be wrong too",
         failures.join("; ")
     );
-    Ok(())
+    let subject = trajectory.display().to_string();
+    let refused = Finding::new("failed-trajectory", Verdict::Fail, subject, what)
+        .remedy("fix that, and make it again");
+    Err(Refused(refused).into())
 }
 
 /// What is beside a result; none where there is nothing, or what another program wrote under that name.

@@ -1,6 +1,5 @@
 //! What a walk's device measured besides images and motion, held against the trajectory that these gave.
 
-use anyhow::bail;
 use lsfb_eval::barometer::{BarometerAgreement, barometer_agreement};
 use lsfb_eval::radio::{
     KnownPlace, PlacedReading, PlacingConfig, RadioAgreement, RadioAgreementConfig, place,
@@ -8,8 +7,10 @@ use lsfb_eval::radio::{
 };
 use lsfb_pipeline::ground_truth::GroundTruth;
 use lsfb_recording::Recording;
-use lsfb_types::Finding;
+use lsfb_types::{Finding, Verdict};
 use serde::{Deserialize, Serialize};
+
+use crate::refused::Refused;
 
 /// Readings between poses that are farther apart in time have no place, seconds.
 const LONGEST_GAP_SECS: f64 = 1.0;
@@ -34,12 +35,18 @@ impl Surroundings {
             .map(|others| radio(walk, found, others))
             .transpose()?;
         if let Some(radio) = radio.as_ref().filter(|radio| radio.elsewhere().is_some()) {
-            bail!(
-                "{}: the walk received other Wi-Fi and Bluetooth signals than other walks did where \
-                 its images and the map place it: it was elsewhere, and no pose is given: {}",
-                walk.path().display(),
-                radio.finding().sentence()
-            );
+            let failed = radio.finding();
+            let refused = Finding {
+                verdict: Verdict::Fail,
+                subject: walk.path().display().to_string(),
+                what: format!(
+                    "the walk received other Wi-Fi and Bluetooth signals than other walks did where \
+                     its images and the map place it: it was elsewhere, and no pose is given: {}",
+                    failed.what
+                ),
+                ..failed
+            };
+            return Err(Refused(refused).into());
         }
         Ok(Self {
             barometer: barometer_agreement(walk, &found.trajectory, &up)?,

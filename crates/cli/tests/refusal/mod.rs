@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use lsfb_recording::sha256_of;
+use serde_json::Value;
 
 use crate::process::lsfb;
 
@@ -35,13 +36,39 @@ fn sentence(output: &Output) -> String {
     errors[0].to_owned()
 }
 
-/// Runs a command that must fail, saying all of `words`, and touch nothing though it might: what it would have replaced may
-/// stand aside as `NAME.old`, so that it does not look new.
+/// Runs a command that cannot do what it is asked, and must say all of `words` and touch nothing though it might: what it would
+/// have replaced may stand aside as `NAME.old`, so that it does not look new.
 pub fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let found = fails(folder, arguments, words, 1);
+    assert!(found.get("verdict").is_none(), "{found}");
+}
+
+/// The same of one that finds its data unfit; gives the finding.
+pub fn found_unfit(folder: &Path, arguments: &[&str], words: &[&str]) -> Value {
+    let found = fails(folder, arguments, words, 4);
+    assert_eq!(found["verdict"], "fail", "{found}");
+    let finding = found["findings"][0].clone();
+    let what = finding["what"].as_str().expect("what was found");
+    let message = found["error"].as_str().expect("a message");
+    assert!(message.contains(what), "{found}");
+    assert!(
+        finding["code"].is_string() && finding["remedy"].is_string(),
+        "{found}"
+    );
+    finding
+}
+
+fn fails(folder: &Path, arguments: &[&str], words: &[&str], code: i32) -> Value {
     let before = contents(folder);
-    let output = lsfb(folder, &[arguments, &["--force"]].concat());
+    let output = lsfb(folder, &[arguments, &["--force", "--json"]].concat());
     let sentence = sentence(&output);
-    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {sentence}");
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{arguments:?}: {sentence}"
+    );
+    let found: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    assert!(found["error"].is_string(), "{found}");
     for word in words {
         assert!(
             sentence.contains(word),
@@ -54,4 +81,5 @@ pub fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
         let now = after.get(&path).or_else(|| after.get(&aside));
         assert_eq!(now, Some(&hash), "{arguments:?} changed {}", path.display());
     }
+    found
 }

@@ -7,7 +7,8 @@ use super::Verdict;
 
 /// One thing that was looked at, and how it came out.
 ///
-/// `what` is said without a full stop and without its subject, `remedy` as an order; [`Finding::sentence`] joins them.
+/// `what` is said without a full stop and without its subject, `remedy` as an order; [`Finding::sentence`] joins them, and
+/// [`Finding::message`] does so where an error says it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Finding {
@@ -150,6 +151,24 @@ impl Finding {
         }
         text
     }
+
+    /// All of it as an error message: `cam0: its stamps are 3 ms late (at most 2 ms): check the triggers`.
+    pub fn message(&self) -> String {
+        let mut text = match self.subject.as_str() {
+            "" => self.what.clone(),
+            subject => format!("{subject}: {}", self.what),
+        };
+        if let Some(limit) = self.crossed_limit() {
+            text += &format!(" ({limit})");
+        }
+        if let Some(remedy) = &self.remedy {
+            // A second colon would hide which part explains which.
+            let is_split = [&self.what, remedy].iter().any(|part| part.contains(": "));
+            text += if is_split { "; " } else { ": " };
+            text += remedy;
+        }
+        text
+    }
 }
 
 #[cfg(test)]
@@ -167,6 +186,10 @@ mod tests {
             "cam0: its stamps are 3 ms late. Check the triggers."
         );
         assert_eq!(found.crossed_limit().as_deref(), Some("at most 2 ms"));
+        assert_eq!(
+            found.message(),
+            "cam0: its stamps are 3 ms late (at most 2 ms): check the triggers"
+        );
         let good = Finding {
             verdict: Verdict::Pass,
             ..found

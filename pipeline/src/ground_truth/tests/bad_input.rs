@@ -55,7 +55,10 @@ fn what_is_wrong_with_a_walk_is_said() {
         }
     });
     let error = swapped.expect_err("axes of the IMU");
-    assert!(matches!(error, Error::AccelContradicts { .. }), "{error}");
+    assert!(
+        matches!(error, Error::Refused(Refusal::AccelContradicts { .. })),
+        "{error}"
+    );
 
     let late = walked(&map, &rig(), |m| {
         for (_, image) in &mut m.images {
@@ -89,22 +92,25 @@ fn an_accelerometer_that_measures_nothing_or_along_other_axes_is_named() {
         })
     };
     let frozen = with(|f| *f = [0.1, -0.2, 9.7]).expect_err("frozen");
-    assert!(matches!(frozen, Error::FrozenSensor { .. }), "{frozen}");
+    assert!(
+        matches!(frozen, Error::Refused(Refusal::FrozenSensor { .. })),
+        "{frozen}"
+    );
     let turned = with(|f| f.swap(1, 2)).expect_err("y and z");
     assert!(
         matches!(
             turned,
-            Error::AccelContradicts {
+            Error::Refused(Refusal::AccelContradicts {
                 axis: 'y' | 'z',
                 ..
-            }
+            })
         ),
         "{turned}"
     );
     // Gravity tells less of these two: the walk is found, and nobody takes it for right.
     match with(|f| f.swap(0, 1)) {
         Err(refused) => assert!(
-            matches!(refused, Error::AccelContradicts { .. }),
+            matches!(refused, Error::Refused(Refusal::AccelContradicts { .. })),
             "{refused}"
         ),
         Ok(found) => assert!(failed(&found).contains(&"imu-errors".to_owned())),

@@ -34,7 +34,10 @@ fn another_floor_that_is_built_alike_is_refused() {
     assert_eq!(verdict(true), Some(Verdict::Pass));
     assert_eq!(verdict(false), Some(Verdict::Unknown), "not conclusive");
     let error = walked(Paint::other_floor(1)).expect_err("another floor");
-    assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
+    assert!(
+        matches!(error, Error::Refused(Refusal::PointsAbsent { .. })),
+        "{error}"
+    );
 }
 
 /// Stretches of the made-up walk in which so much says that points are there and absent, of which a cell says 3 at most, and which frames

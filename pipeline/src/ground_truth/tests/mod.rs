@@ -35,6 +35,7 @@ use super::trusted::{Solution, trusted};
 use super::uncertainty::{Uncertainty, uncertainty};
 use super::walk::{FixedObservation, Frame, FrameState, LocalizedPose, Walk};
 use super::*;
+use crate::Refusal;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
 use crate::preintegration::standard_gravity_m_s2;
 use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};

@@ -86,7 +86,10 @@ fn a_walk_fits_a_room_of_many_things_nowhere_else() {
 fn a_walk_that_may_be_at_either_end_is_refused() {
     let error = walked(Paint::same_turned(3)).expect_err("either end");
     assert!(
-        matches!(error, Error::NotLocalized { localized: 0, .. }),
+        matches!(
+            error,
+            Error::Refused(Refusal::NotLocalized { localized: 0, .. })
+        ),
         "{error}"
     );
 }

@@ -320,7 +320,10 @@ fn stopped_it_goes_on_to_the_same(path: &Path, map: &HdMap, whole: &GroundTruth)
     kept().keep("localized_00000", &answers).expect("kept");
     let refused = go_on("").expect_err("nowhere");
     assert!(
-        matches!(refused, Error::NotLocalized { localized: 0, .. }),
+        matches!(
+            refused,
+            Error::Refused(Refusal::NotLocalized { localized: 0, .. })
+        ),
         "{refused}"
     );
 }
@@ -361,7 +364,10 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
     let recording = Recording::open(&path).expect("recording");
     let error = ground_truth(&recording, &map, &strict, &no_progress).expect_err("uncertain");
     assert!(
-        matches!(error, Error::NothingCertain { frames: 16, .. }),
+        matches!(
+            error,
+            Error::Refused(Refusal::NothingCertain { frames: 16, .. })
+        ),
         "{error}"
     );
 
@@ -372,7 +378,7 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
     // Not found at all, or found at places that contradict one another.
     let refused = matches!(
         &error,
-        Error::NotLocalized { path, .. } | Error::MapDisagrees { path, .. } if *path == other
+        Error::Refused(Refusal::NotLocalized { path, .. } | Refusal::MapDisagrees { path, .. }) if *path == other
     );
     assert!(refused, "{error}");
     let mut third = rig();

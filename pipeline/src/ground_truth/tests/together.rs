@@ -173,7 +173,10 @@ fn recorded_walks_are_solved_as_one_if_each_is_right() {
     match solve(&long, &elsewhere) {
         Err(Error::OtherWalk { path, error }) => {
             assert!(path.ends_with("elsewhere.mcap"));
-            assert!(matches!(*error, Error::PointsAbsent { .. }), "{error}");
+            assert!(
+                matches!(*error, Error::Refused(Refusal::PointsAbsent { .. })),
+                "{error}"
+            );
         }
         other => panic!("{other:?}"),
     }
@@ -191,7 +194,9 @@ fn recorded_walks_are_solved_as_one_if_each_is_right() {
             refused => refused.expect_err("images are late"),
         };
         match refused {
-            Error::FailedAlone { path, .. } => assert!(path.ends_with("late.mcap")),
+            Error::Refused(Refusal::FailedAlone { path, .. }) => {
+                assert!(path.ends_with("late.mcap"))
+            }
             other => panic!("{other}"),
         }
     }

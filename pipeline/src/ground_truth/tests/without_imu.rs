@@ -83,7 +83,10 @@ fn images_alone_place_a_walk_and_it_is_said_that_they_do() {
         "{error}"
     );
     let error = walked(images_alone(Paint::other_floor(1)), &rig()).expect_err("another floor");
-    assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
+    assert!(
+        matches!(error, Error::Refused(Refusal::PointsAbsent { .. })),
+        "{error}"
+    );
 }
 
 /// Images that are sent once more would hold the device where it was: without an IMU nothing says that it moved.

@@ -7,7 +7,6 @@ use lsfb_types::{Progress, ProgressFn};
 
 use super::LARGEST_CONTRADICTED_SHARE;
 use super::sights::Tracks;
-use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::estimate::Estimate;
 use crate::ground_truth::inertial::any_motion;
@@ -16,6 +15,7 @@ use crate::ground_truth::report::{GroundTruthWarning, local_errors};
 use crate::ground_truth::settling::{farthest, is_few, not_at_rest};
 use crate::ground_truth::walk::{FrameState, Walk};
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
+use crate::{Error, Refusal};
 
 /// Frames are added for so long at a time, seconds: the IMU alone leads a few centimetres astray.
 const STEP_SECS: f64 = 0.5;
@@ -88,7 +88,9 @@ impl<'a> Extension<'a> {
         progress: ProgressFn<'_>,
     ) -> Result<Option<Self>, Error> {
         let solved = match self.settle_all(config, progress) {
-            Err(Error::Solver(_) | Error::NotConverged { .. }) => return Ok(None),
+            Err(Error::Solver(_) | Error::Refused(Refusal::NotConverged { .. })) => {
+                return Ok(None);
+            }
             solved => solved?,
         };
         let points = solved.points.iter().filter(|p| p.is_determined()).count();
@@ -268,7 +270,9 @@ impl<'a> Extension<'a> {
         state: &FrameState,
     ) -> Result<PreintegratedImu, Error> {
         match PreintegratedImu::integrate(&self.walk.imu, from, to, state.bias, &self.walk.noise) {
-            Err(Error::ImuGap { .. }) => Ok(any_motion(state, to.secs_since(from))),
+            Err(Error::Refused(Refusal::ImuGap { .. })) => {
+                Ok(any_motion(state, to.secs_since(from)))
+            }
             other => other,
         }
     }

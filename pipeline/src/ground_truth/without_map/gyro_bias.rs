@@ -10,9 +10,9 @@ use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 
 use super::sights::Tracks;
-use crate::Error;
 use crate::ground_truth::walk::Walk;
 use crate::preintegration::{ImuBias, PreintegratedImu};
+use crate::{Error, Refusal};
 
 /// Apart at least and in the aim, seconds: far enough to show a rotation, near enough to share tracks.
 const APART_SECS: f64 = 0.3;
@@ -105,7 +105,7 @@ fn pairs(walk: &Walk, tracks: &Tracks, window: &Range<usize>) -> Result<Vec<Pair
                     }
                 }
             }
-            Err(Error::ImuGap { .. }) => {}
+            Err(Error::Refused(Refusal::ImuGap { .. })) => {}
             Err(other) => return Err(other),
         }
         first += (second - first).div_ceil(2);

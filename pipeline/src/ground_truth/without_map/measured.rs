@@ -6,8 +6,8 @@ use std::ops::Range;
 use lsfb_types::Timestamp;
 
 use super::{MotionConfig, TrackedWalk};
-use crate::Error;
 use crate::ground_truth::report::{LeftOutReason, Span};
+use crate::{Error, Refusal};
 
 /// Shortest part that is a walk, seconds.
 const SHORTEST_SECS: f64 = 1.0;
@@ -24,7 +24,7 @@ pub(super) struct Measured {
     pub pauses: Vec<[Timestamp; 2]>,
 }
 
-/// [`Error::ImuGap`] where no part is long enough.
+/// [`Refusal::ImuGap`] where no part is long enough.
 pub(super) fn longest_measured(
     mut walk: TrackedWalk,
     config: &MotionConfig,
@@ -48,11 +48,12 @@ pub(super) fn longest_measured(
         .max_by(|a, b| secs(a).total_cmp(&secs(b)))
         .filter(|part| secs(part) >= SHORTEST_SECS);
     let Some(part) = part else {
-        return Err(Error::ImuGap {
+        return Err(Refusal::ImuGap {
             from: longest[0],
             to: longest[1],
             longest_secs: config.max_imu_gap_secs,
-        });
+        }
+        .into());
     };
     let rests = [0..part.start, part.end..walk.frames.len()];
     let rests = rests.into_iter().filter(|rest| !rest.is_empty());

@@ -32,9 +32,9 @@ use super::report::{
 };
 use super::settling::ROUNDS;
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
-use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
+use crate::{Error, Refusal};
 use blind::blind_stretches;
 pub use config::MotionConfig;
 use extension::{Extension, Settled};
@@ -135,7 +135,7 @@ const LARGEST_CONTRADICTED_SHARE: f64 = 0.4;
 
 /// The motion of a walk without a map, from states that are known roughly or from nothing.
 ///
-/// [`Error::NoBeginning`] where nothing tells scale and gravity, [`Error::TracksContradict`] where tracks and IMU do not agree,
+/// [`Refusal::NoBeginning`] where nothing tells scale and gravity, [`Refusal::TracksContradict`] where tracks and IMU do not agree,
 /// [`Error::UnknownView`] where a view is of no frame or camera of the walk; `start`, where given, has a state for each frame.
 pub fn motion_without_map(
     walk: &TrackedWalk,
@@ -182,10 +182,11 @@ pub fn motion_without_map(
     let frames = 0..walk.frames.len();
     let contradicted_share = tracks.contradicted_share(&solved.estimate, frames, config);
     if contradicted_share > LARGEST_CONTRADICTED_SHARE {
-        return Err(Error::TracksContradict {
+        return Err(Refusal::TracksContradict {
             share: contradicted_share,
             limit: LARGEST_CONTRADICTED_SHARE,
-        });
+        }
+        .into());
     }
     let sights_in_use = in_use(&solved.points, walk.frames.len());
     let first = first_seeing(&sights_in_use, settings);
@@ -329,7 +330,8 @@ fn begin<'a>(
         }
         first = window.start + window.len().div_ceil(4);
     }
-    Err(Error::NoBeginning {
+    Err(Refusal::NoBeginning {
         frames: walk.frames.len(),
-    })
+    }
+    .into())
 }

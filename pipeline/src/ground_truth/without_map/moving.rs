@@ -13,10 +13,10 @@ use nalgebra::{SMatrix, SVector};
 
 use super::gyro_bias;
 use super::sights::Tracks;
-use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
+use crate::{Error, Refusal};
 
 /// How long a beginning in motion is looked at, seconds, and the least of it where the walk is shorter.
 const WINDOW_SECS: f64 = 2.0;
@@ -72,7 +72,7 @@ pub(super) fn states(
     for frame in &walk.frames[window.start + 1..window.end] {
         match PreintegratedImu::integrate(&walk.imu, start, frame.time, bias, &walk.noise) {
             Ok(change) => changes.push(change),
-            Err(Error::ImuGap { .. }) => return Ok(None),
+            Err(Error::Refused(Refusal::ImuGap { .. })) => return Ok(None),
             Err(other) => return Err(other),
         }
     }

@@ -10,12 +10,12 @@ use super::turns::check_turns;
 use super::{
     FrontEnd, MotionConfig, Sight, TrackedFrame, TrackedWalk, WalkView, motion_without_map,
 };
-use crate::Error;
 use crate::frames::{ReadImu, SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
 use crate::ground_truth::frozen_samples;
 use crate::ground_truth::report::GroundTruthWarning;
 use crate::kept_stages::{KeptStages, keep_fields};
+use crate::{Error, Refusal};
 
 /// The motion of a recorded walk, where it can be believed.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,10 +30,10 @@ pub struct RecordedMotion {
 
 /// Where the device was relative to its first pose, by its images and its IMU alone. Of the recording's cameras those of `rig` are used.
 ///
-/// [`Error::SensorMissing`] without cameras or IMU, [`Error::NoBeginning`] where nothing tells scale and gravity,
-/// [`Error::TracksContradict`] where images and IMU do not agree, [`Error::NothingFollowed`] where no pose can be believed and
-/// [`Error::UnknownCovariance`] where that is not known; [`Error::GyroContradicts`] where images turn another way than the gyroscope says,
-/// [`Error::FrozenSensor`] where a sensor of the IMU repeats itself, and [`Error::ImuGap`] where pauses of the IMU leave no part of the walk that is long enough.
+/// [`Error::SensorMissing`] without cameras or IMU, [`Refusal::NoBeginning`] where nothing tells scale and gravity,
+/// [`Refusal::TracksContradict`] where images and IMU do not agree, [`Refusal::NothingFollowed`] where no pose can be believed and
+/// [`Refusal::UnknownCovariance`] where that is not known; [`Refusal::GyroContradicts`] where images turn another way than the gyroscope says,
+/// [`Refusal::FrozenSensor`] where a sensor of the IMU repeats itself, and [`Refusal::ImuGap`] where pauses of the IMU leave no part of the walk that is long enough.
 pub fn motion_of_recording(
     recording: &Recording,
     rig: &Rig,
@@ -87,11 +87,12 @@ pub fn motion_of_recording_in_stages(
         })
         .unzip();
     if poses.is_empty() {
-        return Err(Error::NothingFollowed {
+        return Err(Refusal::NothingFollowed {
             frames,
             min_sights: config.min_sights,
             limit_m: config.max_position_sigma_m,
-        });
+        }
+        .into());
     }
     let trajectory = Trajectory::new(poses);
     let mut report = MotionReport::new(

@@ -10,11 +10,11 @@ use nalgebra::SMatrix;
 use rayon::prelude::*;
 
 use super::TrackedWalk;
-use crate::Error;
 use crate::ground_truth::sensor_axes::{
     Measured, Unknowns, as_it_is, fit, usually_left, wrong_axis,
 };
 use crate::preintegration::{ImuBias, PreintegratedImu};
+use crate::{Error, Refusal};
 
 /// Pairs of images that are compared at most, and at least.
 const MOST_PAIRS: usize = 150;
@@ -29,14 +29,14 @@ const BIAS_SIGMA_RAD_S: f64 = 1.0;
 const EXPLAINED: f64 = 0.4;
 const LEFT_OF_ALL: f64 = 0.3;
 
-/// [`Error::GyroContradicts`] where signs, units or axes of the gyroscope are not those of the images.
+/// [`Refusal::GyroContradicts`] where signs, units or axes of the gyroscope are not those of the images.
 pub(super) fn check_turns(walk: &TrackedWalk) -> Result<(), Error> {
     let turns = turns(walk);
     if turns.len() < FEWEST_PAIRS {
         return Ok(());
     }
     match explaining(&turns).as_ref().and_then(wrong_axis) {
-        Some((axis, images)) => Err(Error::GyroContradicts { axis, images }),
+        Some((axis, images)) => Err(Refusal::GyroContradicts { axis, images }.into()),
         None => Ok(()),
     }
 }

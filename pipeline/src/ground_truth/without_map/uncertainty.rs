@@ -15,13 +15,13 @@ use lsfb_solver::{BlockId, Covariance, Kernel, VectorPrior, covariance_of_groups
 use lsfb_types::{Progress, ProgressFn};
 
 use super::extension::Settled;
-use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::estimate::Estimate;
 use crate::ground_truth::optimization::Adjustment;
 use crate::ground_truth::report::local_errors;
 use crate::ground_truth::walk::{LocalPoint, Walk};
 use crate::residuals::CameraCorrection;
+use crate::{Error, Refusal};
 
 /// Poses whose covariance is asked for at a time: the first pose is solved for anew with each group.
 const AT_ONCE: usize = 12;
@@ -105,10 +105,10 @@ pub(super) fn uncertainty(
     })
     .map_err(|error| match error {
         Error::Solver(problem @ lsfb_solver::Error::Undetermined { .. }) => {
-            Error::UnknownCovariance {
+            Error::Refused(Refusal::UnknownCovariance {
                 frames: poses.len(),
                 problem,
-            }
+            })
         }
         other => other,
     })?;

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use lsfb_geometry::{Se3, Vector3};
 
 use super::{HdMap, Pair};
-use crate::Error;
 use crate::hd_map::SiteFrame;
+use crate::{Error, Refusal};
 
 /// So many points with an observation in both maps are no coincidence: pixels are real numbers, or one of a hundred thousand.
 const SAME_POINTS: usize = 5;
@@ -32,10 +32,11 @@ pub(super) fn expect_other_images(
         .filter(|p| !seen(first, p.first).is_disjoint(&seen(second, p.second)));
     let points = same.count();
     match points >= SAME_POINTS {
-        true => Err(Error::SameImages {
+        true => Err(Refusal::SameImages {
             points,
             shared: shared.len(),
-        }),
+        }
+        .into()),
         false => Ok(()),
     }
 }
@@ -60,7 +61,7 @@ pub(super) fn common_site(
     });
     let shift_m = shifts.fold(0.0, f64::max);
     if shift_m > most_m {
-        return Err(Error::SurveysDisagree { shift_m, most_m });
+        return Err(Refusal::SurveysDisagree { shift_m, most_m }.into());
     }
     for name in &other.control_points {
         if !site.control_points.contains(name) {

@@ -18,8 +18,8 @@ use contradictions::{common_site, expect_other_images};
 
 use super::build::{MapRows, typical};
 use super::{HdMap, HdMapConfig, PointQuality, SearchScratch};
-use crate::Error;
 use crate::features::Descriptor;
+use crate::{Error, Refusal};
 
 /// Neighbours that are looked at for each descriptor, inverted lists in which they are looked for, and descriptors of these that are
 /// compared.
@@ -150,13 +150,14 @@ impl HdMap {
             && report.worst_sigma_m <= config.max_sigma_m
             && report.scale_shift_m <= config.max_sigma_m;
         if !is_sure {
-            return Err(Error::MapsDoNotMeet {
+            return Err(Refusal::MapsDoNotMeet {
                 pairs: report.pairs,
                 shared: report.shared,
                 rival: report.rival,
                 sigma_m: report.worst_sigma_m,
                 scale_shift_m: report.scale_shift_m,
-            });
+            }
+            .into());
         }
         expect_other_images(self, second, &shared)?;
         let mut rows = joined(self, second, &report, &shared, config);

@@ -186,7 +186,9 @@ fn maps_of_the_same_images_are_refused() {
         (&crop(0.0, 12.0), &crop(6.0, 20.0)),
     ] {
         let merged = first.merge(second, &MergeConfig::default(), &no_progress);
-        let Err(Error::SameImages { points, shared }) = merged.map(|(_, report)| report) else {
+        let Err(Error::Refused(Refusal::SameImages { points, shared })) =
+            merged.map(|(_, report)| report)
+        else {
             panic!("merged");
         };
         assert!(shared >= 50 && points == shared, "{points} of {shared}");
@@ -224,7 +226,7 @@ fn surveys_of_both_maps_are_compared() {
     assert_eq!(both.origin_m, [1e6, 2e6, 0.0]);
     assert_eq!(both.control_points, ["A", "B"]);
     assert!(matches!(merged(None, one()), Err(Error::SurveyedSecond)));
-    let Err(Error::SurveysDisagree { shift_m, .. }) = merged(one(), one()) else {
+    let Err(Error::Refused(Refusal::SurveysDisagree { shift_m, .. })) = merged(one(), one()) else {
         panic!("merged");
     };
     assert!((shift_m - Vector3::new(30.0_f64, 4.0, 1.0).norm()).abs() < 0.02);
@@ -245,7 +247,7 @@ fn maps_that_do_not_surely_meet_are_refused() {
     let refusal = |a: &HdMap, b: &HdMap| {
         let merged = a.merge(b, &MergeConfig::default(), &no_progress);
         match merged.map(|(_, report)| report) {
-            Err(Error::MapsDoNotMeet { shared, .. }) => shared,
+            Err(Error::Refused(Refusal::MapsDoNotMeet { shared, .. })) => shared,
             other => panic!("{other:?}"),
         }
     };
@@ -288,7 +290,9 @@ fn a_place_that_repeats_is_refused() {
     let index = IndexConfig::default();
     let twice = HdMap::from_rows(twice, &index, &no_progress).expect("built");
     let found = twice.merge(&a, &MergeConfig::default(), &no_progress);
-    let Err(Error::MapsDoNotMeet { shared, rival, .. }) = found.map(|(_, report)| report) else {
+    let Err(Error::Refused(Refusal::MapsDoNotMeet { shared, rival, .. })) =
+        found.map(|(_, report)| report)
+    else {
         panic!("merged");
     };
     assert!(
@@ -315,11 +319,11 @@ fn a_map_of_another_scale_is_refused() {
     }
     let larger = HdMap::from_rows(rows, &IndexConfig::default(), &no_progress).expect("built");
     let merged = first.merge(&larger, &MergeConfig::default(), &no_progress);
-    let Err(Error::MapsDoNotMeet {
+    let Err(Error::Refused(Refusal::MapsDoNotMeet {
         shared,
         scale_shift_m,
         ..
-    }) = merged.map(|(_, report)| report)
+    })) = merged.map(|(_, report)| report)
     else {
         panic!("merged");
     };

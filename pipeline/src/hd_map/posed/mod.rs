@@ -17,7 +17,7 @@ use super::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, PlacedImages, ReconstructionConfig, find_tracks,
     select_keyframes, triangulate_tracks,
 };
-use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
+use crate::error::{Error, MIN_MAP_POINTS, MapShortage, Refusal};
 use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
 use crate::kept_stages::KeptStages;
 use crate::posed_images::PosedImages;
@@ -276,11 +276,12 @@ fn depth_sample(posed: &PosedImages, config: &ReconstructionConfig) -> Result<Ve
     if sample.is_empty() {
         let images = cameras.len();
         let reason = MapShortage::NoBaseline { images };
-        return Err(Error::TooFewPoints {
+        return Err(Refusal::TooFewPoints {
             points: 0,
             needed: MIN_MAP_POINTS,
             reason,
-        });
+        }
+        .into());
     }
     Ok(sample.into_iter().collect())
 }

@@ -136,7 +136,7 @@ fn images_under_the_poses_of_their_neighbours_are_no_sound_map() {
     late.images.truncate(9);
     let config = PosedMapConfig::default();
     match build_map_from_posed_images(&late, &config, &no_progress) {
-        Err(Error::TooFewPoints { reason, .. }) => {
+        Err(Error::Refused(Refusal::TooFewPoints { reason, .. })) => {
             assert!(
                 matches!(reason, MapShortage::Disagreement { .. }),
                 "{reason:?}"
@@ -411,7 +411,7 @@ fn images_that_make_no_map_are_an_error_that_says_why() {
         |posed: &PosedImages| match build_map_from_posed_images(posed, &config, &no_progress)
             .expect_err("no map")
         {
-            Error::TooFewPoints { reason, .. } => reason,
+            Error::Refused(Refusal::TooFewPoints { reason, .. }) => reason,
             other => panic!("{other}"),
         };
     let good = walk(folder.path(), 1.0);

@@ -17,8 +17,8 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::Error;
 use crate::hd_map::{Click, ControlPoint, MarkConfig};
+use crate::{Error, Refusal};
 
 pub(super) use prepared::{ControlBlocks, ControlTerms, Hold, Marks, SolvedControl, add_control};
 pub use report::{ControlMark, ControlReport};
@@ -78,25 +78,26 @@ impl Control {
     /// The control points that were clicked twice or more; clicks on other marks are left aside. Fewer than three, or such that lie on one line,
     /// do not say how a map lies in the site, and are an error that says so.
     pub fn new(points: Vec<ControlPoint>, clicks: &[Click]) -> Result<Self, Error> {
-        let bad = |reason: String| Error::ControlPoints { reason };
         let count = |point: &ControlPoint| clicks.iter().filter(|c| c.mark == point.mark).count();
         let all = points.len();
         let points: Vec<ControlPoint> = points.into_iter().filter(|p| count(p) >= 2).collect();
         if points.len() < FEWEST {
-            return Err(bad(format!(
-                "{} of {all} are clicked in two images or more, but {FEWEST} that are not on one \
-                 line are needed: with one, the map could rotate about it, with two, about the line \
-                 through both",
-                points.len()
-            )));
+            return Err(Refusal::FewControlPoints {
+                clicked: points.len(),
+                all,
+                needed: FEWEST,
+            }
+            .into());
         }
         let places: Vec<Vector3<f64>> = points.iter().map(|p| p.place_m).collect();
         let [length_m, width_m] = extent_m(&places);
         if width_m < LEAST_WIDTH * length_m || length_m == 0.0 {
-            return Err(bad(format!(
-                "all {} lie within {width_m:.2} m of one line ({length_m:.1} m, both rms), about which the map could rotate; survey and click a mark away from it",
-                points.len()
-            )));
+            return Err(Refusal::ControlPointsOnALine {
+                count: points.len(),
+                width_m,
+                length_m,
+            }
+            .into());
         }
         let middle = places.iter().sum::<Vector3<f64>>() / places.len() as f64;
         let shift = |m: f64| match m.abs() > LARGE_M {

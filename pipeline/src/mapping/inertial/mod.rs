@@ -12,7 +12,6 @@ use lsfb_solver::{Block, Problem};
 use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 
 use super::MappingConfig;
-use crate::Error;
 use crate::frames::{ReadImu, read_imu_if_any};
 use crate::inertial_blocks::{
     StateBlocks, USUAL_ACCEL_BIAS_M_S2, USUAL_GYRO_BIAS_RAD_S, about, add_bias_walks, add_samples,
@@ -23,6 +22,7 @@ use crate::preintegration::{
     ImuBias, ImuErrors, NavState, PreintegratedImu, standard_gravity_m_s2,
 };
 use crate::residuals::ImuPreintegration;
+use crate::{Error, Refusal};
 pub use report::InertialReport;
 
 /// What is summed up over longer says less than anything else, and is off by what its noise leaves out, seconds: somebody who stands has no keyframes.
@@ -49,7 +49,7 @@ pub(super) struct RecordedImu {
 }
 
 impl RecordedImu {
-    /// `None` where the settings do not ask for the term. [`Error::NoImuTerm`] where they do, and there is no IMU to make it of.
+    /// `None` where the settings do not ask for the term. [`Refusal::NoImuTerm`] where they do, and there is no IMU to make it of.
     pub fn read(
         recording: &Recording,
         rig: &Rig,
@@ -58,9 +58,11 @@ impl RecordedImu {
         if !config.terms.imu {
             return Ok(None);
         }
-        let refused = |reason: &str| Error::NoImuTerm {
-            path: recording.path().to_owned(),
-            reason: reason.to_owned(),
+        let refused = |reason: &str| {
+            Error::Refused(Refusal::NoImuTerm {
+                path: recording.path().to_owned(),
+                reason: reason.to_owned(),
+            })
         };
         let noise = rig
             .imu_noise()
@@ -222,7 +224,7 @@ impl<'a> KeyframeImu<'a> {
         let RecordedImu { samples, noise, .. } = self.recorded;
         let [from, to] = [self.times[k], self.times[k + 1]];
         match PreintegratedImu::integrate(samples, from, to, bias, noise) {
-            Err(Error::ImuGap { .. }) => Ok(None),
+            Err(Error::Refused(Refusal::ImuGap { .. })) => Ok(None),
             sum => sum.map(Some),
         }
     }

@@ -5,10 +5,10 @@ use lsfb_perception::statistics::median;
 use lsfb_types::Timestamp;
 
 use super::{DeskewedCloud, OdometryResult, ScanPose};
-use crate::Error;
 use crate::odometry::report::OdometryReport;
 use crate::odometry::unseen::UnseenStretches;
 use crate::odometry::{InertialState, MotionKind, OdometryStep, OdometryWarning, StepOutcome};
+use crate::{Error, Refusal};
 
 /// Without a scan for longer there is a gap, seconds: one second an IMU bridges to a centimetre or two; five were 18 cm.
 const GAP_S: f64 = 1.5;
@@ -38,7 +38,9 @@ impl Found {
         self.report.scans += 1;
         let mut step = match step {
             Ok(step) => step,
-            Err(Error::EmptyScan { .. } | Error::ScanOrder { .. } | Error::ImuMissing { .. }) => {
+            Err(Error::Refused(
+                Refusal::EmptyScan { .. } | Refusal::ScanOrder { .. } | Refusal::ImuMissing { .. },
+            )) => {
                 self.report.skipped += 1;
                 return Ok(());
             }

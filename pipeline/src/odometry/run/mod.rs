@@ -22,9 +22,9 @@ use super::range_check::RangeCheck;
 use super::report::OdometryReport;
 use super::warning::OdometryWarning;
 use super::{Odometry, OdometryConfig, OdometryStep};
-use crate::Error;
 use crate::read_ahead::read_ahead;
 use crate::worst_sigma::worst_sigmas;
+use crate::{Error, Refusal};
 pub(crate) use damages::Damages;
 use found::Found;
 
@@ -71,13 +71,12 @@ impl OdometryResult {
             OdometryWarning::OutOfRange { what } => Some(what.clone()),
             _ => None,
         });
-        let why =
-            why.unwrap_or_else(|| "check the LiDAR and its clock against the IMU's".to_owned());
-        Err(Error::NoScan {
+        Err(Refusal::NoScan {
             path: path.to_owned(),
             scans: self.report.scans,
             why,
-        })
+        }
+        .into())
     }
 
     /// The trajectory without what the IMU alone has of gaps between scans: it may be decimetres off, and nothing tells. Whoever has images of them may go on from it.

@@ -297,7 +297,10 @@ impl Ablation<'_> {
                 run.findings = judged.findings.into_iter().filter(is_problem).collect();
             }
             // Too few of its poses meet the truth.
-            Err(why) => run.refused = Some(format!("evaluation: {why}")),
+            Err(why) if why.finding().is_some() => {
+                run.refused = Some(format!("evaluation: {why}"));
+            }
+            Err(why) => return Err(why.into()),
         }
         Ok(run)
     }

@@ -20,6 +20,7 @@ use lsfb_types::{Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
 use crate::context::Context;
+use crate::refused::Refused;
 use crate::simulated::{self, Layout};
 use crate::standing;
 
@@ -282,12 +283,13 @@ fn longest_stretch(mut views: CameraViews) -> CameraViews {
 
 /// An operator does not use a calibration that failed.
 fn accepted(judgement: &Judgement, summary: &str) -> anyhow::Result<()> {
-    anyhow::ensure!(
-        judgement.verdict() != Verdict::Fail,
-        "{}",
-        judgement.headline(summary)
-    );
-    Ok(())
+    let failed = judgement.problems().find(|f| f.verdict == Verdict::Fail);
+    match failed {
+        Some(failed) => {
+            Err(anyhow::Error::new(Refused(failed.clone())).context(summary.to_owned()))
+        }
+        None => Ok(()),
+    }
 }
 
 /// How far each sensor is from the truth.

@@ -1,3 +1,9 @@
+//! Why a trajectory could not be judged, and what of it is a judgement of the data.
+
+mod finding;
+#[cfg(test)]
+mod tests;
+
 use std::path::PathBuf;
 
 use crate::relation::{DeltaUnit, PoseRelation};
@@ -48,10 +54,7 @@ pub enum Error {
         possible: String,
     },
     /// Most poses share a stamp with another pose, elsewhere.
-    #[error(
-        "{path}: {poses} poses have only {distinct} different stamps; were they printed with too few digits? write at least \
-         millisecond digits"
-    )]
+    #[error("{}", self.message())]
     CoarseStamps {
         /// The file.
         path: PathBuf,
@@ -83,17 +86,13 @@ pub enum Error {
         what: String,
     },
     /// Nothing says where a mark is.
-    #[error(
-        "the distances do not determine the position of mark {mark}; measure another one to it, or one along a line"
-    )]
+    #[error("{}", self.message())]
     UndeterminedMark {
         /// The mark.
         mark: String,
     },
     /// The distances fit a mark on either side of others.
-    #[error(
-        "mark {mark} fits at two positions, {apart_m:.2} m apart; measure another distance to it"
-    )]
+    #[error("{}", self.message())]
     TwoPlaces {
         /// The mark.
         mark: String,
@@ -107,10 +106,7 @@ pub enum Error {
         mark: String,
     },
     /// The device did not rest on marks, or so it seems.
-    #[error(
-        "{rests} rests in the trajectory, but no three of them match three of the {marks} marks; \
-         does its z axis point up? allow a larger spread of rests, or a larger reach of marks"
-    )]
+    #[error("{}", self.message())]
     TooFewRests {
         /// Rests found.
         rests: usize,
@@ -118,9 +114,7 @@ pub enum Error {
         marks: usize,
     },
     /// No inertial sample is of the time of the trajectory.
-    #[error(
-        "no IMU samples (they span {samples_span}) at the time of the poses ({poses_span}); do both belong to one walk, on one clock?"
-    )]
+    #[error("{}", self.message())]
     NoInertialSamples {
         /// First and last pose.
         poses_span: String,
@@ -138,9 +132,7 @@ pub enum Error {
         marks: usize,
     },
     /// Rests fit different marks equally well.
-    #[error(
-        "{rests} rests fit the marks in more than one way; add the order of visits to the survey (visit A B …)"
-    )]
+    #[error("{}", self.message())]
     AmbiguousRests {
         /// Rests that fit.
         rests: usize,
@@ -164,7 +156,7 @@ pub enum Error {
         far_deg: f64,
     },
     /// Too few poses for what was asked.
-    #[error("{role} trajectory: {poses} poses, but {needed} are needed")]
+    #[error("{}", self.message())]
     TooFewPoses {
         /// "estimate", "reference" or "aligned".
         role: &'static str,
@@ -174,9 +166,7 @@ pub enum Error {
         needed: usize,
     },
     /// Stamps that cannot be of one walk.
-    #[error(
-        "{role} trajectory: its stamps span {span_secs:.0} s; are they in another unit, or is one wrong?"
-    )]
+    #[error("{}", self.message())]
     TooLong {
         /// "estimate" or "reference".
         role: &'static str,
@@ -184,9 +174,7 @@ pub enum Error {
         span_secs: f64,
     },
     /// Poses of motion capture that hardly ever are where an IMU leads.
-    #[error(
-        "{fit} of {poses} poses of the motion capture fit the IMU samples, but {needed} are needed; check the units (metres, rad/s, m/s²; the mean specific force is {force_m_s2:.2} m/s², expected 9.8), the IMU's axes and signs, the order of the quaternion components, and that both are on one rigid body"
-    )]
+    #[error("{}", self.message())]
     NotOneMotion {
         /// That fit.
         fit: usize,
@@ -198,34 +186,25 @@ pub enum Error {
         force_m_s2: f64,
     },
     /// Inertial samples are missing.
-    #[error(
-        "no IMU samples for {gap_secs:.2} s, so that the motion there is unknown; evaluate the parts before and after separately"
-    )]
+    #[error("{}", self.message())]
     InertialGap {
         /// The longest gap, seconds.
         gap_secs: f64,
     },
     /// A filter lost its numbers.
-    #[error(
-        "motion capture and IMU cannot be joined from {secs:.2} s on; check the units of both (metres, rad/s, m/s²)"
-    )]
+    #[error("{}", self.message())]
     Unstable {
         /// Since the IMU's first sample, seconds.
         secs: f64,
     },
     /// A trajectory from whose motion no clock can be read.
-    #[error(
-        "{role} trajectory: its rotation is constant or absent and does not determine the clock offset; rotate the device back and forth"
-    )]
+    #[error("{}", self.message())]
     EvenRotation {
         /// "estimate" or "reference".
         role: &'static str,
     },
     /// Two trajectories are never at one time within the search.
-    #[error(
-        "the trajectories overlap by less than 5 s within {search_secs} s of an offset of \
-         {around_secs} s (they span {spans}); give the approximate clock offset"
-    )]
+    #[error("{}", self.message())]
     NoCommonTime {
         /// How far was searched, seconds.
         search_secs: f64,
@@ -235,17 +214,13 @@ pub enum Error {
         spans: String,
     },
     /// Their angular speeds are not alike at any offset.
-    #[error(
-        "the angular rates do not agree at any offset (correlation {correlation:.2}); are both on one rigid body?"
-    )]
+    #[error("{}", self.message())]
     NotOneBody {
         /// The best correlation.
         correlation: f64,
     },
     /// Two offsets fit equally well.
-    #[error(
-        "the motion is periodic: offsets of {first_secs:.2} and {second_secs:.2} s fit equally well; reduce the search range, or move irregularly"
-    )]
+    #[error("{}", self.message())]
     TwoOffsets {
         /// The one, seconds.
         first_secs: f64,
@@ -253,11 +228,7 @@ pub enum Error {
         second_secs: f64,
     },
     /// The bodies turned about one axis only.
-    #[error(
-        "the device rotated about one axis only ({first_deg:.2}° about the first, {second_deg:.2}° \
-         about the second), which does not determine the transform between the bodies; rotate it \
-         about two"
-    )]
+    #[error("{}", self.message())]
     OneAxis {
         /// Turns about the main axis, degrees rms.
         first_deg: f64,
@@ -289,15 +260,13 @@ pub enum Error {
     #[error(transparent)]
     Solver(#[from] lsfb_solver::Error),
     /// There is no pose.
-    #[error("the {role} trajectory has no pose")]
+    #[error("{}", self.message())]
     Empty {
         /// "truth" or "estimate".
         role: &'static str,
     },
     /// Stamps go back.
-    #[error(
-        "{role} trajectory: pose {index} (t = {time_secs} s) is older than the previous one; sort it by time"
-    )]
+    #[error("{}", self.message())]
     Reordered {
         /// "truth" or "estimate".
         role: &'static str,
@@ -307,9 +276,7 @@ pub enum Error {
         time_secs: String,
     },
     /// Two poses have one stamp, and the caller refuses that.
-    #[error(
-        "{role} trajectory: {count} stamps occur twice, first at t = {time_secs} s; keep one pose per stamp"
-    )]
+    #[error("{}", self.message())]
     Duplicated {
         /// "truth" or "estimate".
         role: &'static str,
@@ -319,7 +286,7 @@ pub enum Error {
         time_secs: String,
     },
     /// A pose holds NaN or infinity.
-    #[error("{role} trajectory: pose {index} (t = {time_secs} s) is not finite")]
+    #[error("{}", self.message())]
     NotFinite {
         /// "truth" or "estimate".
         role: &'static str,
@@ -329,11 +296,7 @@ pub enum Error {
         time_secs: String,
     },
     /// No two stamps are near enough.
-    #[error(
-        "no pose of the estimate is within {max_difference_secs} s of one of the truth: truth spans \
-         {truth_span}, estimate {estimate_span}; do they use the same clock? shift the stamps or \
-         raise the allowed difference{hint}"
-    )]
+    #[error("{}", self.message())]
     NoMatch {
         /// Allowed difference, seconds.
         max_difference_secs: f64,
@@ -345,9 +308,7 @@ pub enum Error {
         hint: String,
     },
     /// A position that no walk has.
-    #[error(
-        "pose {index} of the {role}, t = {time_secs} s, is more than {limit_m:e} m from the origin, which is implausible in any unit of length"
-    )]
+    #[error("{}", self.message())]
     TooFar {
         /// Which trajectory.
         role: &'static str,
@@ -359,15 +320,13 @@ pub enum Error {
         limit_m: f64,
     },
     /// A walk that stands in two tables.
-    #[error(
-        "two of the walks share {scans} Wi-Fi scans with the same readings at the same times: comparing a walk with its copy finds every place exactly; give each walk once"
-    )]
+    #[error("{}", self.message())]
     CopiedScans {
         /// Scans that are copies.
         scans: usize,
     },
     /// Fewer pairs than the computation needs.
-    #[error("only {matched} poses match, but {needed} are needed for {purpose}")]
+    #[error("{}", self.message())]
     TooFewMatches {
         /// Pairs found.
         matched: usize,
@@ -377,19 +336,13 @@ pub enum Error {
         purpose: &'static str,
     },
     /// The matched positions lie on one line or in one point.
-    #[error(
-        "the matched positions lie on one line, which does not determine a rotation; evaluate with origin alignment or none"
-    )]
+    #[error("{}", self.message())]
     Degenerate,
     /// The matched positions do not move sideways.
-    #[error(
-        "the matched positions do not move horizontally, which does not determine a heading; evaluate without alignment"
-    )]
+    #[error("{}", self.message())]
     NoHeading,
     /// All matched poses have one stamp.
-    #[error(
-        "all matched poses have the same time, t = {time_secs} s; there is no trajectory to evaluate"
-    )]
+    #[error("{}", self.message())]
     NoDuration {
         /// That moment, seconds, as text.
         time_secs: String,
@@ -434,4 +387,12 @@ pub enum Error {
         /// Value given, seconds.
         value: f64,
     },
+}
+
+impl Error {
+    /// As the finding says it.
+    fn message(&self) -> String {
+        self.finding()
+            .map_or_else(String::new, |found| found.message())
+    }
 }
