@@ -7,7 +7,6 @@
 
 use std::collections::VecDeque;
 
-use lsfb_geometry::Vector3;
 use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
 use super::motion::Motion;
@@ -19,14 +18,6 @@ const LONG_STAND_S: f64 = 5.0;
 const TELLING_S: f64 = 3.0;
 /// Scans taken anew with each that comes: so many times as long a scan takes until the walk has caught up.
 const AT_A_TIME: usize = 3;
-
-/// A gyroscope's bias that is known before the walk begins.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct KnownBias {
-    pub rad_s: Vector3<f64>,
-    /// Standard deviation of each component, rad/s.
-    pub sigma_rad_s: Vector3<f64>,
-}
 
 /// The walk as it was before its first scan, until it has been begun again.
 #[derive(Clone, Debug)]

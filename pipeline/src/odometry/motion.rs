@@ -4,8 +4,7 @@ use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::KNOT_NS;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
-use super::inertial::InertialFilter;
-use super::learned_start::KnownBias;
+use super::inertial::{InertialFilter, KnownBias};
 use super::uncertainty::ConstantMotionCovariance;
 use crate::{Error, Refusal};
 

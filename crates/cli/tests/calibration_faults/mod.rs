@@ -37,8 +37,6 @@ enum End {
     Fail,
     /// One sentence, and no rig: the data is unfit.
     Refused,
-    /// One sentence: what was given is wrong.
-    Failed,
 }
 
 /// Runs a command that writes `out` and must end so, with all of `words` in its JSON and on its page, or in its one sentence.
@@ -50,7 +48,7 @@ fn ends(path: &Path, arguments: &[&str], out: &str, end: End, words: &[&str]) ->
     let page = path.join(out).with_extension("html");
     let found: Value = serde_json::from_str(&printed).unwrap_or_default();
     let places = match end {
-        End::Refused | End::Failed => vec![sentence],
+        End::Refused => vec![sentence],
         _ => {
             let page = std::fs::read_to_string(page).unwrap_or_else(|_| panic!("no page: {all}"));
             vec![printed, page]
@@ -61,7 +59,6 @@ fn ends(path: &Path, arguments: &[&str], out: &str, end: End, words: &[&str]) ->
         End::Warn => (0, "warn"),
         End::Fail => (4, "fail"),
         End::Refused => (4, "fail"),
-        End::Failed => (1, ""),
     };
     assert_eq!(output.status.code(), Some(code), "{all}");
     assert_eq!(path.join(out).exists(), code == 0, "{all}");

@@ -16,11 +16,11 @@ use lsfb_perception::lidar::PosePrior;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
 
-use super::learned_start::KnownBias;
 use super::uncertainty::once_seen;
 use crate::imu_reading::{Reading, reading_at};
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 use standing::{STANDING_SPAN_S, Standing};
+pub(super) use start::KnownBias;
 
 type Matrix18 = SMatrix<f64, 18, 18>;
 
@@ -188,7 +188,7 @@ impl InertialFilter {
 
     /// The gyroscope's bias, and how well it is known to a walk that is begun again with it: twice the variance, as that takes the scans that told
     /// it once more.
-    pub fn known_bias(&self) -> KnownBias {
+    pub(in crate::odometry) fn known_bias(&self) -> KnownBias {
         KnownBias {
             rad_s: self.state.gyro_bias_rad_s,
             sigma_rad_s: Vector3::from_fn(|k, _| {

@@ -4,7 +4,6 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 use nalgebra::SVector;
 
-use super::super::learned_start::KnownBias;
 use super::standing::{STANDING_GYRO_RAD_S, STANDING_VELOCITY_M_S, Standing};
 use super::{ACCEL_BIAS, GRAVITY, GYRO_BIAS, InertialFilter, InertialState, Matrix18, VELOCITY};
 
@@ -15,6 +14,14 @@ const GRAVITY_LENGTH_M_S2: f64 = 0.01;
 /// What a carrier that feels as if it stood may turn, rad/s, and gather in speed, m/s², while it does not stand.
 const QUIET_RAD_S: f64 = 0.01;
 const QUIET_M_S2: f64 = 0.3;
+
+/// A gyroscope's bias that is known before the walk begins.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::odometry) struct KnownBias {
+    pub rad_s: Vector3<f64>,
+    /// Standard deviation of each component, rad/s.
+    pub sigma_rad_s: Vector3<f64>,
+}
 
 impl InertialFilter {
     /// Starts at the world's origin at `time`, level by the mean specific force of `samples`, heading along x.
@@ -90,7 +97,7 @@ impl InertialFilter {
     }
 
     /// Gives a start the gyroscope's bias.
-    pub fn knows_bias(&mut self, known: &KnownBias) {
+    pub(in crate::odometry) fn knows_bias(&mut self, known: &KnownBias) {
         self.state.gyro_bias_rad_s = known.rad_s;
         for covariance in [&mut self.covariance, &mut self.reported] {
             for (k, sigma) in known.sigma_rad_s.iter().enumerate() {
