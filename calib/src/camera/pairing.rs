@@ -143,7 +143,7 @@ mod tests {
             .expect_err("the same images")
             .to_string();
         assert!(
-            error.contains("left and right show the same images"),
+            error.contains("left and right: they show the same images"),
             "{error}"
         );
         expect_different_images(&[views("left", 0.0), views("right", 4.0)]).expect("two cameras");

@@ -104,7 +104,7 @@ impl Error {
                 spans,
             } => fail(
                 "no-common-time",
-                "trajectories",
+                "",
                 format!(
                     "they overlap by less than 5 s within {search_secs} s of an offset of {around_secs} s (they span {spans})"
                 ),
@@ -112,7 +112,7 @@ impl Error {
             .remedy("give the approximate clock offset"),
             Self::NotOneBody { correlation } => fail(
                 "not-one-body",
-                "trajectories",
+                "",
                 format!("the angular rates do not agree at any offset (correlation {correlation:.2})"),
             )
             .value(*correlation, "")
@@ -122,7 +122,7 @@ impl Error {
                 second_secs,
             } => fail(
                 "two-offsets",
-                "trajectories",
+                "",
                 format!(
                     "the motion is periodic, and offsets of {first_secs:.2} and {second_secs:.2} s fit equally well"
                 ),
@@ -134,7 +134,7 @@ impl Error {
                 second_deg,
             } => fail(
                 "observability",
-                "trajectories",
+                "",
                 format!(
                     "the device rotated about one axis only ({first_deg:.2}° about the first, {second_deg:.2}° about the second), which does not determine the transform between the bodies"
                 ),
@@ -223,7 +223,7 @@ impl Error {
             .remedy("check the columns, and the program that wrote it"),
             Self::NoDuration { time_secs } => fail(
                 "no-duration",
-                "trajectories",
+                "",
                 format!("all matched poses have the same time, t = {time_secs} s"),
             )
             .remedy("give trajectories that move on in time"),
@@ -241,7 +241,7 @@ impl Error {
                 hint,
             } => fail(
                 "no-match",
-                "trajectories",
+                "",
                 format!(
                     "no pose of the estimate is within {max_difference_secs} s of one of the truth: truth spans {truth_span}, estimate {estimate_span}"
                 ),
@@ -255,7 +255,7 @@ impl Error {
                 purpose,
             } => fail(
                 "few-matches",
-                "trajectories",
+                "",
                 format!("only {matched} poses match, too few for {purpose}"),
             )
             .value(*matched as f64, "")
@@ -263,13 +263,13 @@ impl Error {
             .remedy("give trajectories of the same walk that overlap more"),
             Self::Degenerate => fail(
                 "on-a-line",
-                "trajectories",
+                "",
                 "the matched positions lie on one line, which does not determine a rotation",
             )
             .remedy("evaluate with origin alignment or none"),
             Self::NoHeading => fail(
                 "no-heading",
-                "trajectories",
+                "",
                 "the matched positions do not move horizontally, which does not determine a heading",
             )
             .remedy("evaluate without alignment"),

@@ -199,11 +199,11 @@ fn refuses_bad_input_and_says_why() {
     let default = EvalConfig::default();
     assert_eq!(
         refused(&[], &truth, &default),
-        "the truth trajectory has no pose"
+        "truth trajectory: it has no pose: check the program that wrote it"
     );
     assert_eq!(
         refused(&truth, &[], &default),
-        "the estimate trajectory has no pose"
+        "estimate trajectory: it has no pose: check the program that wrote it"
     );
 
     let nan = changed(&truth, |i, p| {
@@ -213,7 +213,7 @@ fn refuses_bad_input_and_says_why() {
     });
     assert_eq!(
         refused(&truth, &nan, &default),
-        "estimate trajectory: pose 3 (t = 0.300000000 s) is not finite"
+        "estimate trajectory: pose 3 (t = 0.300000000 s) is not finite: leave it out"
     );
 
     let mut reordered = truth.clone();
@@ -225,7 +225,7 @@ fn refuses_bad_input_and_says_why() {
 
     assert_eq!(
         refused(&truth, &truth[..2], &default),
-        "only 2 poses match, but 3 are needed for alignment and statistics"
+        "only 2 poses match, too few for alignment and statistics (at least 3): give trajectories of the same walk that overlap more"
     );
 
     let line = changed(&truth, |i, p| {

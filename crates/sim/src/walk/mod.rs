@@ -1,5 +1,6 @@
 //! How the rigs move: smooth, known exactly, at rest at both ends.
 
+mod balance;
 pub(crate) mod off_path;
 mod paper_motion;
 mod passers;
@@ -154,6 +155,10 @@ impl Motion {
             self.world_from_rig.translation + self.velocity_m_s * dt_s,
         )
     }
+}
+
+fn wave(t: f64, hz: f64, phase: f64) -> f64 {
+    (std::f64::consts::TAU * hz * t + phase).sin()
 }
 
 /// 0 up to 0, 1 from 1 on, twice differentiable.

@@ -2,8 +2,9 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use super::balance::Balance;
 use super::tour::Tour;
-use super::{KNOT_S, Travel, Walk, smooth_step};
+use super::{KNOT_S, Travel, Walk, smooth_step, wave};
 use crate::config::WalkConfig;
 use crate::noise::{stream, uniform};
 use crate::spline::QuinticSpline;
@@ -123,7 +124,7 @@ impl Walk {
         let travel = Travel::new(tour, config, 0.0);
         let gait = plan.gait;
         let on_the_spot = matches!(plan.gaze, Gaze::Turning | Gaze::Facing | Gaze::Board);
-        let balance = (!on_the_spot).then(|| Balance::of(seed, &plan.gait));
+        let balance = (!on_the_spot).then(|| Balance::of(seed, plan.gait.step_m.to_bits()));
         let curve = QuinticSpline::following(config.duration_s, KNOT_S, |t| {
             let (s, speed) = travel.at(t);
             let pace = (speed / 1.0).min(1.0);
@@ -181,70 +182,6 @@ impl Walk {
         }
         length
     }
-}
-
-/// How one keeps one's balance: nobody stands like a tripod.
-///
-/// Who stands sways about the ankles like an inverted pendulum, forwards more than sideways and mostly below half a hertz: the centre of mass
-/// moves by 3 to 5 mm rms (Winter, "Human balance and posture control during standing and walking", 1995), the trunk turns at 0.2 to 0.4 °/s.
-#[derive(Clone, Debug)]
-struct Balance {
-    /// Pitch, roll and yaw: two waves each.
-    waves: [[Lean; 2]; 3],
-}
-
-/// One wave of it.
-#[derive(Clone, Copy, Debug)]
-struct Lean {
-    amplitude_rad: f64,
-    hz: f64,
-    phase: f64,
-}
-
-/// Slow and quick part of each axis' sway, radians at the crest; how much it is differs by a third from one to another.
-const SWAY_RAD: [[f64; 2]; 3] = [[5.0e-3, 1.7e-3], [3.3e-3, 1.2e-3], [2.0e-3, 0.8e-3]];
-/// Frequencies of the two, hertz, from and to.
-const SWAY_HZ: [[f32; 2]; 2] = [[0.15, 0.3], [0.4, 0.6]];
-/// A walk is at rest before and after it: sway grows in and dies away within this time, seconds.
-const SWAY_BEGINS_S: f64 = 1.0;
-
-impl Balance {
-    fn of(seed: u64, gait: &Gait) -> Self {
-        let rng = stream(seed, "balance", gait.step_m.to_bits());
-        let waves = SWAY_RAD.map(|axis| {
-            std::array::from_fn(|k| Lean {
-                amplitude_rad: axis[k] * f64::from(uniform(&rng, 0.67, 1.33)),
-                hz: f64::from(uniform(&rng, SWAY_HZ[k][0], SWAY_HZ[k][1])),
-                phase: f64::from(uniform(&rng, 0.0, std::f32::consts::TAU)),
-            })
-        });
-        Self { waves }
-    }
-
-    /// What it adds to x, y, z, yaw, pitch and roll.
-    fn at(&self, t: f64, heading: f64, config: &WalkConfig) -> [f64; 6] {
-        let begun = smooth_step(t / SWAY_BEGINS_S);
-        let begun = begun * smooth_step((config.duration_s - t) / SWAY_BEGINS_S);
-        let [pitch, roll, yaw] = self.waves.map(|axis| {
-            let waves = axis.map(|w| w.amplitude_rad * wave(t, w.hz, w.phase));
-            begun * waves.iter().sum::<f64>()
-        });
-        // Pitch is forwards and down; what is higher above the ankles moves farther.
-        let (forwards, left) = (config.height_m * pitch, -config.height_m * roll);
-        let (sin, cos) = heading.sin_cos();
-        [
-            forwards * cos - left * sin,
-            forwards * sin + left * cos,
-            0.0,
-            yaw,
-            pitch,
-            roll,
-        ]
-    }
-}
-
-fn wave(t: f64, hz: f64, phase: f64) -> f64 {
-    (TAU * hz * t + phase).sin()
 }
 
 /// What a way of looking adds to x, y, z, yaw, pitch and roll.

@@ -215,7 +215,7 @@ fn tapes_alone_make_a_network() {
         .expect_err("two places")
         .to_string();
     assert!(
-        refused.contains("mark e fits at two positions"),
+        refused.contains("mark e: it fits at two positions"),
         "{refused}"
     );
 }
