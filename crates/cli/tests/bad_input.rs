@@ -295,7 +295,7 @@ fn sensors_that_are_not_there() {
         &["map", "no-rig.mcap", "--out", "map"],
         &["no-rig.mcap", "rig"],
     );
-    refused(
+    found_unfit(
         path,
         &[
             "groundtruth",

@@ -16,6 +16,8 @@ use super::{Odometry, OdometryStep, StepOutcome};
 const LONG_STAND_S: f64 = 5.0;
 /// Motion that tells the bias, seconds.
 const TELLING_S: f64 = 3.0;
+/// Motion that tells it no better than this tells too little, rad/s: scans are rare then, or see little.
+const KNOWN_RAD_S: f64 = 0.002;
 /// Scans taken anew with each that comes: so many times as long a scan takes until the walk has caught up.
 const AT_A_TIME: usize = 3;
 
@@ -102,6 +104,9 @@ impl LearnedStart {
                     return None;
                 };
                 let bias = told.filter.as_ref()?.known_bias();
+                if bias.sigma_rad_s.max() > KNOWN_RAD_S {
+                    return None;
+                }
                 if let Motion::Inertial(motion) = &mut self.begun.motion {
                     motion.gyro_bias = Some(bias);
                 }
