@@ -47,7 +47,9 @@ use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
     Vector3, spline,
 };
-use lsfb_types::{Bounds, Finding, ImuSample, Progress, ProgressFn, Timestamp};
+use lsfb_types::{
+    Bounds, Finding, ImuSample, Progress, ProgressFn, STANDARD_GRAVITY_M_S2, Timestamp,
+};
 use serde::{Deserialize, Serialize};
 
 pub use halves::SplitEstimate;
@@ -193,7 +195,7 @@ impl Default for CameraImuConfig {
             corner_sigma_px: 0.2,
             max_offset_s: 0.3,
             max_drift_s: 0.005,
-            gravity_m_s2: 9.80665,
+            gravity_m_s2: STANDARD_GRAVITY_M_S2,
             gravity_sigma_m_s2: 1e-3,
             min_rate_rad_s: 0.1,
             view_step: 1,

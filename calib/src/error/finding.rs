@@ -255,10 +255,8 @@ impl NoRest {
                 .remedy("find out why they are lost (`lsfb doctor`)"),
             Self::Repeated { repeated, .. } => of("repeated")
                 .value(*repeated as f64, "")
-                .limit(Limit::AtMost(0.0))
                 .remedy("have the driver stamp each sample"),
-            Self::Moved { after_s } => of("rest")
-                .value(*after_s, "s")
+            Self::Moved { .. } => of("rest")
                 .remedy("put it on solid ground, away from footsteps and fans, and record again"),
         }
     }

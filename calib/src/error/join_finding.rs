@@ -41,7 +41,6 @@ impl JoinProblem {
             Self::BadSample { .. } => of("bad-samples").remedy("check the IMU's driver"),
             Self::RepeatedStamps { repeated, .. } => of("repeated")
                 .value(*repeated as f64, "")
-                .limit(Limit::AtMost(0.0))
                 .remedy("have the driver stamp each sample"),
             Self::FewSamples {
                 samples, needed, ..

@@ -5,7 +5,7 @@
 
 use lsfb_recording::Recording;
 use lsfb_recording::message::{self, decode_imu};
-use lsfb_types::{Finding, ImuSample, Timestamp, Verdict, median, quantile};
+use lsfb_types::{Finding, ImuSample, STANDARD_GRAVITY_M_S2, Timestamp, Verdict, median, quantile};
 
 use super::{Depth, DoctorConfig, Findings};
 use crate::health::Repeats;
@@ -15,8 +15,6 @@ use crate::order::Order;
 const SAMPLES: usize = 4_000;
 /// Fewer have no average.
 const LEAST_SAMPLES: usize = 100;
-/// Standard gravity, m/s².
-const GRAVITY_M_S2: f64 = 9.806_65;
 /// Between these shares of gravity lies the middle of the forces on something that is carried: a runner's steps are in it.
 const FORCES: [f64; 2] = [0.8, 1.6];
 /// Nobody turns what he carries faster than this half of the time, nor for a twentieth of it, rad/s: a calm walk in degrees a second has a middle of 3 to 8.
@@ -136,10 +134,10 @@ impl Measured {
             problems.push((found, "restart it"));
         }
         let force_m_s2 = median(self.forces_m_s2.clone()).unwrap_or_default();
-        let [least, most] = FORCES.map(|share| share * GRAVITY_M_S2);
+        let [least, most] = FORCES.map(|share| share * STANDARD_GRAVITY_M_S2);
         if !(least..=most).contains(&force_m_s2) {
             let found = format!(
-                "median specific force is {force_m_s2:.2} m/s², but a carried device measures gravity's {GRAVITY_M_S2:.2}"
+                "median specific force is {force_m_s2:.2} m/s², but a carried device measures gravity's {STANDARD_GRAVITY_M_S2:.2}"
             );
             let remedy = match FORCES {
                 [least, most] if (least..=most).contains(&force_m_s2) => {
@@ -316,7 +314,7 @@ mod tests {
             [rates.map(|v| v * rate), forces.map(|v| v * force)]
         };
         fails(
-            |n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2),
+            |n| scaled(n, 1.0, 1.0 / STANDARD_GRAVITY_M_S2),
             "it is in units of g",
         );
         fails(|n| scaled(n, 57.3, 1.0), "in degrees");

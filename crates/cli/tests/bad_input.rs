@@ -80,7 +80,7 @@ fn what_is_made_of_a_map_that_failed_has_failed() {
     ] {
         assert_eq!(made["verdict"], "fail", "{made}");
         let found = &made["findings"][0];
-        assert_eq!(found["code"], "map-failed", "{made}");
+        assert_eq!(found["code"], "failed-map", "{made}");
         let what = found["what"].as_str().expect("words");
         assert!(what.contains("axes are exchanged"), "{made}");
     }

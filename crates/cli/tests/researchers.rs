@@ -450,9 +450,10 @@ fn a_researchers_folder_is_read_or_refused_by_name() {
         tum(0.0, pose).replacen("0.000000", "1.40364e+09", 1)
     });
     write(root, "coarse.txt", &coarse);
-    for name in ["nan.txt", "coarse.txt"] {
+    // No trajectory, and one that stands still in time.
+    for (name, code) in [("nan.txt", 1), ("coarse.txt", 4)] {
         let output = lsfb(root, &["eval", name, "--truth", "truth.tum"]);
-        assert_eq!(output.status.code(), Some(1), "{name}");
+        assert_eq!(output.status.code(), Some(code), "{name}");
         assert!(String::from_utf8_lossy(&output.stderr).contains(name));
     }
 }

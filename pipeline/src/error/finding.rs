@@ -65,10 +65,11 @@ impl Refusal {
                 absent_percent,
                 limit,
                 ..
-            } => at("points-absent", path)
-                .value(*absent_percent, "%")
-                .limit(Limit::AtMost(percent(*limit)))
-                .remedy(
+            } => crossed(
+                at("points-absent", path).value(*absent_percent, "%"),
+                percent(*limit),
+            )
+            .remedy(
                     "map it again, or raise max_absent_share if no other place looks like it: the place has changed since it was mapped, or it is another place built alike, such as another floor",
                 ),
             Self::FewRecognised {
@@ -81,19 +82,20 @@ impl Refusal {
                 .value(*recognised as f64, "")
                 .limit(Limit::AtLeast((needed_share * *frames as f64).ceil()))
                 .remedy(
-                    "check that it is the map of this place, and map it along the walk: this is another place that has something in common with the map, or the map covers too little of the walk",
+                    "check that it is the map of this place, and map it along the walk: this is another place that has something in common with the map, or the map covers too little of the walk (min_recognised_share)",
                 ),
             Self::MapPartsDisagree {
                 path,
                 moved_m,
                 limit_m,
                 ..
-            } => at("map-parts-disagree", path)
-                .value(*moved_m, "m")
-                .limit(Limit::AtMost(*limit_m))
-                .remedy(
-                    "map the place again with more views of it, or walk where more of the map is in view: the map is poor here, or the place has changed since it was mapped",
-                ),
+            } => crossed(
+                at("map-parts-disagree", path).value(*moved_m, "m"),
+                *limit_m,
+            )
+            .remedy(
+                "map the place again with more views of it, or walk where more of the map is in view: the map is poor here, or the place has changed since it was mapped (max_disagreement_m is the limit of each pose)",
+            ),
             Self::ImuContradicts {
                 path,
                 moved_m,
@@ -122,10 +124,11 @@ impl Refusal {
                 from,
                 to,
                 longest_secs,
-            } => of("imu-pause", "IMU")
-                .value(to.secs_since(*from), "s")
-                .limit(Limit::AtMost(*longest_secs))
-                .remedy("record the IMU without gaps"),
+            } => crossed(
+                of("imu-pause", "IMU").value(to.secs_since(*from), "s"),
+                *longest_secs,
+            )
+            .remedy("record the IMU without gaps"),
             Self::ImuMissing { .. } => of("imu-missing", "IMU").remedy(
                 "start the odometry without the IMU, or with scans that the IMU covers",
             ),
@@ -145,7 +148,7 @@ impl Refusal {
                 ..of("not-followed", EVERYTHING)
             }
             .limit(Limit::AtMost(*limit_m))
-            .remedy("light the place, keep the lenses free, and look at objects with texture"),
+            .remedy("light the place, keep the lenses free, and look at objects with texture, or raise the limit (max_position_sigma_m)"),
             Self::NoBeginning { .. } => of("no-beginning", EVERYTHING).remedy(
                 "begin at rest for half a second, or move by at least a hand's breadth while something with texture is in view",
             ),
@@ -212,9 +215,10 @@ impl Refusal {
                 .value(100.0 * share, "%")
                 .limit(Limit::AtLeast(percent(*least)))
                 .remedy("give the trajectory of this recording"),
-            Self::NoScan { path, .. } => {
-                at("no-scans", path).remedy("check the LiDAR and its clock against the IMU's")
-            }
+            Self::NoScan { path, why, .. } => at("no-scans", path).remedy(match why {
+                Some(_) => "give ranges in metres, or limits of range for this LiDAR",
+                None => "check the LiDAR and its clock against the IMU's",
+            }),
             Self::EmptyScan { .. } => of("empty-scan", EVERYTHING)
                 .remedy("check whether the sensor was covered, and its power"),
             Self::ScanOrder { .. } => of("scan-order", EVERYTHING).remedy("sort the scans by time"),
@@ -249,4 +253,12 @@ impl Refusal {
 /// A share in percent, without the digits that only its binary form has.
 fn percent(share: f64) -> f64 {
     (1e6 * share).round() / 1e4
+}
+
+/// With the limit, where the value lies beyond it: what is said of a walk as a whole may keep what each of its parts crosses.
+fn crossed(finding: Finding, limit: f64) -> Finding {
+    match finding.value.is_some_and(|value| value > limit) {
+        true => finding.limit(Limit::AtMost(limit)),
+        false => finding,
+    }
 }

@@ -205,7 +205,7 @@ impl HdMap {
     pub fn failed_checks(&self) -> impl Iterator<Item = Finding> {
         self.failures.iter().map(|why| {
             let what = format!("failed its checks when it was made: {why}");
-            Finding::new("map-failed", Verdict::Fail, "map", what)
+            Finding::new("failed-map", Verdict::Fail, "map", what)
                 .remedy("fix that and map the place again")
         })
     }

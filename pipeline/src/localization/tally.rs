@@ -52,7 +52,7 @@ impl Tally {
 
     /// Whether poses are as often right by those that are listed as they are said to be; `None` where there are none.
     fn as_listed(&self) -> Option<Finding> {
-        let wrong = self.localized - self.right?;
+        let wrong = self.localized.saturating_sub(self.right?);
         let most = 1.0 - self.min_probability;
         let share = (self.localized > 0).then(|| wrong as f64 / self.localized as f64)?;
         let what = format!(
@@ -121,7 +121,7 @@ mod tests {
             }),
             Verdict::Warn
         );
-        let map = Finding::new("map-failed", Verdict::Fail, "map", "axes are exchanged");
+        let map = Finding::new("failed-map", Verdict::Fail, "map", "axes are exchanged");
         let failed = tally(9).judgement([map]);
         assert_eq!(failed.verdict(), Verdict::Fail);
         assert!(failed.headline("").contains("axes are exchanged"));

@@ -19,7 +19,7 @@ const TELLING_S: f64 = 3.0;
 /// Motion that tells it no better than this tells too little, rad/s: scans are rare then, or see little.
 const KNOWN_RAD_S: f64 = 0.002;
 /// Scans taken anew with each that comes: so many times as long a scan takes until the walk has caught up.
-const AT_A_TIME: usize = 3;
+const AT_A_TIME: usize = 2;
 
 /// The walk as it was before its first scan, until it has been begun again.
 #[derive(Clone, Debug)]
@@ -66,6 +66,7 @@ impl LearnedStart {
         step: OdometryStep,
     ) -> OdometryStep {
         if step.outcome == StepOutcome::Lost {
+            odometry.learned_start = Some(self);
             return step;
         }
         self.waiting.push_back(scan.clone());
@@ -90,10 +91,10 @@ impl LearnedStart {
 
     /// `None` where the walk is not to be begun again.
     fn next_stage(&mut self, odometry: &Odometry, now: Timestamp) -> Option<Stage> {
-        let stood_s = || now.secs_since(self.waiting.front().map_or(now, |scan| scan.time));
+        let begun = self.waiting.front().map_or(now, |scan| scan.time);
         match self.stage {
             Stage::Standing if odometry.stands() => {
-                (stood_s() < LONG_STAND_S).then_some(Stage::Standing)
+                (now.secs_since(begun) < LONG_STAND_S).then_some(Stage::Standing)
             }
             // In motion from its first scan on.
             Stage::Standing if self.waiting.len() == 1 => None,
@@ -103,7 +104,7 @@ impl LearnedStart {
                 let Motion::Inertial(told) = &odometry.motion else {
                     return None;
                 };
-                let bias = told.filter.as_ref()?.known_bias();
+                let bias = told.filter.as_ref()?.known_bias(begun);
                 if bias.sigma_rad_s.max() > KNOWN_RAD_S {
                     return None;
                 }

@@ -269,12 +269,12 @@ impl Odometry {
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
-        let learned = match self.last {
+        let begins = match self.last {
             None => LearnedStart::before(self),
-            Some(_) => self.learned_start.take(),
+            Some(_) => None,
         };
         let step = self.take_as_it_comes(scan)?;
-        Ok(match learned {
+        Ok(match begins.or_else(|| self.learned_start.take()) {
             Some(learned) => learned.go_on(self, scan, step),
             None => step,
         })

@@ -49,11 +49,11 @@ impl InertialMotion {
         let before_end = self.samples.partition_point(|s| s.time <= end);
         let mut filter = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
             .ok_or(Refusal::ImuMissing { time: end })?;
-        if let Some(known) = &self.gyro_bias {
-            filter.knows_bias(known);
-        }
         if let Some(known) = self.start {
             filter.moves(known.velocity_m_s, known.sigma_m_s, end.secs_since(start));
+        }
+        if let Some(known) = &self.gyro_bias {
+            filter.knows_bias(known);
         }
         let path = filter.predict(&self.samples, end);
         filter.become_origin();

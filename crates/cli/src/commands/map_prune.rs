@@ -83,11 +83,10 @@ pub fn prune(arguments: &PruneArguments, context: &Context) -> anyhow::Result<Ou
             report.fewest_points_per_view[0]
         )
     };
-    let outcome = print_made(&left, &arguments.out, &summary, text, context)?;
     anyhow::ensure!(
         after_mb <= arguments.size_mb,
         "{}: the map became {after_mb:.2} MB: ask for a smaller size",
         arguments.out.display()
     );
-    Ok(outcome)
+    print_made(&left, &arguments.out, &summary, text, context)
 }

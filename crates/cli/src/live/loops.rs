@@ -90,6 +90,7 @@ impl LoopsThread {
     pub fn push(&mut self, step: OdometryStep) {
         let begins_again = self.begins_again;
         let is_first = step.begins_again();
+        let scans = 1 + step.anew.len() as u64;
         // Counted before the thread may be done with it.
         self.waiting.fetch_add(1, Ordering::Relaxed);
         let sent = self.work.try_send(Work { step, begins_again });
@@ -98,7 +99,7 @@ impl LoopsThread {
             .fetch_sub(u64::from(is_passed_over), Ordering::Relaxed);
         self.begins_again = is_passed_over && (begins_again || is_first);
         self.unsearched
-            .fetch_add(u64::from(is_passed_over), Ordering::Relaxed);
+            .fetch_add(u64::from(is_passed_over) * scans, Ordering::Relaxed);
     }
 
     /// Scans that were passed over, or of which the search failed: loops there are not known of.

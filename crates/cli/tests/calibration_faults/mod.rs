@@ -67,6 +67,14 @@ fn ends(path: &Path, arguments: &[&str], out: &str, end: End, words: &[&str]) ->
         verdict,
         "{all}"
     );
+    if end == End::Refused {
+        let refusal = &found["findings"][0];
+        assert!(
+            refusal["code"].is_string() && refusal["remedy"].is_string(),
+            "{all}"
+        );
+        assert!(found["error"].is_string(), "{all}");
+    }
     for word in words {
         for place in &places {
             assert!(place.contains(word), "{word:?} is not said: {all}");

@@ -90,7 +90,6 @@ impl Error {
                 "motion capture",
                 format!("it cannot be joined with the IMU from {secs:.2} s on"),
             )
-            .value(*secs, "s")
             .remedy("check the units of both (metres, rad/s, m/s²)"),
             Self::EvenRotation { role } => fail(
                 "even-rotation",
@@ -282,6 +281,8 @@ impl Error {
             )
             .value(*scans as f64, "")
             .remedy("give each walk once"),
+            Self::Solver(problem) => fail("not-converged", "", problem.to_string())
+                .remedy("check units, axes and stamps of what is aligned"),
             _ => return None,
         })
     }

@@ -114,9 +114,14 @@ pub fn judge_mark_distances(distances: &[MarkDistance]) -> Finding {
         1e3 * MEAN_M,
         1e3 * largest_m
     );
+    // The criterion that is crossed, or would be next.
+    let (value_m, limit_m) = match mean_m / MEAN_M > largest_m / LARGEST_M {
+        true => (mean_m, MEAN_M),
+        false => (largest_m, LARGEST_M),
+    };
     Finding::new("distances", verdict, "marks", what)
-        .value(largest_m, "m")
-        .limit(Limit::AtMost(LARGEST_M))
+        .value(value_m, "m")
+        .limit(Limit::AtMost(limit_m))
         .remedy("measure the worst distance again; if it is right, the map is bent there")
 }
 

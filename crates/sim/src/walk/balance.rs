@@ -30,7 +30,7 @@ const SWAY_HZ: [[f32; 2]; 2] = [[0.15, 0.3], [0.4, 0.6]];
 const SWAY_BEGINS_S: f64 = 1.0;
 
 impl Balance {
-    /// Of one walk: `walk` tells those of one seed apart.
+    /// Of one walk: `walk` tells those of one seed apart that have another gait.
     pub fn of(seed: u64, walk: u64) -> Self {
         let rng = stream(seed, "balance", walk);
         let waves = SWAY_RAD.map(|axis| {

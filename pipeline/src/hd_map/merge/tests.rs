@@ -158,7 +158,7 @@ fn two_scans_of_one_hall_become_one_map() {
     assert_eq!(part.failures(), failures);
     let judged = part.checks();
     let codes: Vec<&str> = judged.findings().iter().map(|f| &*f.code).collect();
-    assert_eq!(codes, vec!["map-failed"; failures.len()]);
+    assert_eq!(codes, vec!["failed-map"; failures.len()]);
     assert_eq!(judged.verdict(), Verdict::Fail);
     assert_eq!(a.checks().verdict(), Verdict::Pass);
 }

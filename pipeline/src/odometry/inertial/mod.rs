@@ -106,7 +106,7 @@ impl InertialFilter {
             };
             let last = samples.partition_point(|s| s.time < until).max(first);
             let inside = &samples[first..last];
-            self.rest(inside);
+            self.rest(inside, until);
             let inside = inside.iter().map(Reading::from);
             for to in inside.chain(reading_at(samples, until)) {
                 self.integrate(&from, &to);
@@ -186,14 +186,15 @@ impl InertialFilter {
         self.reported.fixed_view::<6, 6>(0, 0).into()
     }
 
-    /// The gyroscope's bias, and how well it is known to a walk that is begun again with it: twice the variance, as that takes the scans that told
-    /// it once more.
-    pub(in crate::odometry) fn known_bias(&self) -> KnownBias {
+    /// The gyroscope's bias, and how well it is known to a walk that is begun again at `begun`: twice the variance, as that takes the scans that
+    /// told it once more, and by how much it may have walked since.
+    pub(in crate::odometry) fn known_bias(&self, begun: Timestamp) -> KnownBias {
+        let walked = self.noise.gyro_bias_walk.powi(2) * self.time.secs_since(begun).max(0.0);
         KnownBias {
             rad_s: self.state.gyro_bias_rad_s,
             sigma_rad_s: Vector3::from_fn(|k, _| {
                 let at = GYRO_BIAS + k;
-                (2.0 * self.reported[(at, at)]).sqrt()
+                (2.0 * self.reported[(at, at)] + walked).sqrt()
             }),
         }
     }

@@ -19,8 +19,8 @@ const QUIET_FORCE_M_S2: f64 = 0.08;
 /// Who stands sways by so much, m/s, and turns by so much, rad/s.
 pub(super) const STANDING_VELOCITY_M_S: f64 = 0.012;
 pub(super) const STANDING_GYRO_RAD_S: f64 = 0.006;
-/// How far it is from upright then, radians, and from where it stands, at the height of a back and upwards, metres (standard deviations). So a mean
-/// rate or velocity over `T` s is off by √2 of it in `T`. The centre of mass of people moves by 3 to 5 mm forwards and back, and less sideways.
+/// How far it is from upright then, radians, and from where it stands, at the height of a back and upwards, metres (standard deviations). So what
+/// is known of a mean rate or velocity of zero over `T` s is off by twice that in `T`. The centre of mass of people moves by 3 to 5 mm forwards and back, and less sideways.
 const SWAY_RAD: f64 = 0.003;
 const SWAY_M: [f64; 3] = [0.0045, 0.0045, 0.001];
 /// Of the velocity of a carrier that was taken for standing and was not, m/s.
@@ -42,14 +42,13 @@ impl Standing {
             && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
     }
 
-    /// What the standard deviation of what means over some samples add to those over all before them is, by that of where the carrier sways to:
-    /// 1/s. The mean over `T` s is off by √2 of that in `T`, not by what many independent means would be; of its inverse square this is the
-    /// part of these samples.
-    fn sigma_per_sway(&self, samples: &[Stamped<ImuSample>]) -> Option<f64> {
-        let (first, last) = (samples.first()?, samples.last()?);
-        let stood_s = last.time.secs_since(self.since).max(STANDING_SPAN_S);
-        let span_s = last.time.secs_since(first.time).max(0.1 * STANDING_SPAN_S);
-        Some(1.0 / (stood_s * span_s).sqrt())
+    /// Standard deviation of what the mean over a span adds to those over all spans before it, by how far the carrier sways: 1/s. As means that
+    /// weigh the more the later they are add up to one that is off by twice the sway in the time it stood, the inverse square of that
+    /// grows by this span's part.
+    fn sigma_per_sway(&self, from: Timestamp, until: Timestamp) -> f64 {
+        let stood_s = until.secs_since(self.since).max(STANDING_SPAN_S);
+        let span_s = until.secs_since(from).clamp(1e-3, STANDING_SPAN_S);
+        (2.0 / (stood_s * span_s)).sqrt()
     }
 }
 
@@ -71,8 +70,8 @@ impl InertialFilter {
         }
     }
 
-    /// Takes in that it stands, where the samples ahead feel like it.
-    pub(super) fn rest(&mut self, samples: &[Stamped<ImuSample>]) {
+    /// Takes in that it stands, where the samples ahead, up to some time, feel like it.
+    pub(super) fn rest(&mut self, samples: &[Stamped<ImuSample>], until: Timestamp) {
         let Some(standing) = self.standing.filter(|_| !samples.is_empty()) else {
             return;
         };
@@ -94,9 +93,7 @@ impl InertialFilter {
         let velocity_off = -self.state.velocity_m_s;
         off.fixed_rows_mut::<3>(0).copy_from(&velocity_off);
         off.fixed_rows_mut::<3>(3).copy_from(&bias_off);
-        let Some(per_sway) = standing.sigma_per_sway(samples) else {
-            return;
-        };
+        let per_sway = standing.sigma_per_sway(self.time, until);
         if let Some((delta, covariance)) = measured(&self.covariance, &off, per_sway) {
             self.covariance = covariance;
             self.state.add(&delta);

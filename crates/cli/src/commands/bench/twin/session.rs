@@ -8,7 +8,7 @@ use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_sim::Simulation;
-use lsfb_types::{median, quantile};
+use lsfb_types::{Stopped, median, quantile};
 
 use super::cost::Costs;
 use super::judging::{self, Localized};
@@ -19,12 +19,12 @@ use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
 use crate::commands::models::ModelFolder;
 use crate::context::{Context, sentence};
+use crate::files;
 use crate::simulated::Layout;
 use crate::twin_session::Wanted;
 use crate::twin_truth::{JudgedScan, consistency_in_map, judge_scan, judge_walk};
-use crate::{files, refused};
 
-/// What a stage gave, or why it refused: part of the result of a trial, where a full disk, a wrong setting or Ctrl-C are not.
+/// What a stage gave, or why it refused: part of the result of a trial, where a full disk and Ctrl-C are not.
 pub type Refusable<T> = Result<T, String>;
 
 const SCAN: &str = "scan";
@@ -46,10 +46,15 @@ pub const STAGES: [&str; 6] = [
 pub fn refusal<T>(result: anyhow::Result<T>, stage: &str) -> anyhow::Result<Refusable<T>> {
     match result {
         Ok(value) => Ok(Ok(value)),
-        Err(error) => match refused::finding(&error) {
-            Some(_) => Ok(Err(format!("{stage}: {}", sentence(&error)))),
-            None => Err(error),
-        },
+        Err(error) => {
+            let stops = |cause: &(dyn std::error::Error + 'static)| {
+                cause.is::<Stopped>() || cause.is::<std::io::Error>()
+            };
+            if error.chain().any(stops) {
+                return Err(error);
+            }
+            Ok(Err(format!("{stage}: {}", sentence(&error))))
+        }
     }
 }
 
@@ -272,8 +277,6 @@ fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_types::Stopped;
-
     use super::*;
 
     /// A disk that is full says nothing about an estimator.
@@ -288,7 +291,6 @@ mod tests {
             "{why}"
         );
         for cause in [
-            anyhow::anyhow!("no such setting"),
             anyhow::Error::new(Stopped).context("mapping"),
             anyhow::Error::new(std::io::Error::other("disk full")).context("mapping"),
         ] {
