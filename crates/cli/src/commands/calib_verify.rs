@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 use lsfb_calib::verify::{MeasuredClock, VerifyConfig, verify};
 use lsfb_geometry::Rig;
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::{Finding, Verdict};
+use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
 use super::calib_result::Results;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
-use crate::refused::Refused;
 
 /// Check a rig on any recording, without a board.
 ///
@@ -96,16 +95,23 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let beside = |camera: &str| super::name_of(&picture(camera));
     super::write(&page, found.to_html("Rig verification", &beside))?;
     provenance.write(&page)?;
-    let clocks = match &arguments.out_rig {
-        Some(out) => {
-            let (corrected, clocks) = found.with_measured_clocks(&rig);
-            write_clocks(out, &recording, &corrected, &clocks, &config, context)?;
-            provenance.write(out)?;
-            clocks
+    let mut clocks = Vec::new();
+    let mut judgement = found.judgement();
+    let mut not_written = None;
+    if let Some(out) = &arguments.out_rig {
+        let (corrected, measured) = found.with_measured_clocks(&rig);
+        clocks = measured;
+        not_written = write_clocks(out, &recording, &corrected, &clocks, &config, context)?;
+        match &not_written {
+            Some(why) => {
+                let all = judgement.findings().iter().chain([why]);
+                judgement = Judgement::new(all.cloned().collect());
+            }
+            None => {
+                provenance.write(out)?;
+            }
         }
-        None => Vec::new(),
-    };
-    let judgement = found.judgement();
+    }
     let printed = Printed {
         outcome: judgement.verdict().name(),
         page: page.clone(),
@@ -125,6 +131,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             c.outcome, c.name, c.sentence
         );
     }
+    if let Some(why) = &not_written {
+        text += &format!("\n  {:7} {}", why.verdict, why.message());
+    }
     for clock in &clocks {
         text += &format!(
             "\n  {}: {}",
@@ -143,7 +152,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     finished.finish(context, &judged, &text)
 }
 
-/// Writes the rig with the clocks that were measured, where it fits the recording then; what was measured, and by what, stands above.
+/// Writes the rig with the clocks that were measured, where it fits the recording then; what was measured, and by what, stands above. Gives why it
+/// is not written.
 fn write_clocks(
     out: &Path,
     recording: &Recording,
@@ -151,14 +161,15 @@ fn write_clocks(
     clocks: &[MeasuredClock],
     config: &VerifyConfig,
     context: &Context,
-) -> anyhow::Result<()> {
-    let refused = |what: String, remedy: &str| {
+) -> anyhow::Result<Option<Finding>> {
+    let not_written = |what: String, remedy: &str| {
         let subject = out.display().to_string();
-        Refused(Finding::new("time-offset", Verdict::Fail, subject, what).remedy(remedy))
+        Finding::new("time-offset", Verdict::Fail, subject, what).remedy(remedy)
     };
     if clocks.is_empty() {
         let what = "no camera's clock could be measured to half a millisecond, constant in time and with correct axes, so that no rig is written";
-        return Err(refused(what.to_owned(), "see the page: its checks give the reasons").into());
+        let remedy = "see the page: its checks give the reasons";
+        return Ok(Some(not_written(what.to_owned(), remedy)));
     }
     let again = verify(recording, rig, config, &|p| context.show(p))?;
     let failed = again
@@ -170,7 +181,7 @@ fn write_clocks(
             "not written, because the rig does not fit with the measured clocks either: {}: {}",
             check.name, check.sentence
         );
-        return Err(refused(what, "calibrate the cameras anew").into());
+        return Ok(Some(not_written(what, "calibrate the cameras anew")));
     }
     let measured: String = clocks
         .iter()
@@ -181,7 +192,7 @@ fn write_clocks(
         rig.to_toml()
     );
     super::write(out, text.as_bytes())?;
-    Ok(())
+    Ok(None)
 }
 
 fn in_words(clock: &MeasuredClock) -> String {

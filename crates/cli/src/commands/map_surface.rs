@@ -6,7 +6,7 @@ use lsfb_geometry::Trajectory;
 use lsfb_pipeline::odometry::scan_count;
 use lsfb_pipeline::surface::{SurfaceBuilder, SurfaceConfig};
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::{Finding, Progress, Verdict};
+use lsfb_types::{Finding, Limit, Progress, Verdict};
 
 use crate::context::Context;
 use crate::refused::Refused;
@@ -42,11 +42,15 @@ pub fn insert_scans(
             }
         }
     }
-    anyhow::ensure!(
-        inserted > 0,
-        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote for this recording",
-        path.display()
-    );
+    if inserted == 0 {
+        let subject = path.display().to_string();
+        let what = "no scan lies within the trajectory";
+        let outside = Finding::new("start-elsewhere", Verdict::Fail, subject, what)
+            .value(0.0, "")
+            .limit(Limit::AtLeast(1.0))
+            .remedy("give the one that `lsfb map --out-trajectory` wrote for this recording");
+        return Err(Refused(outside).into());
+    }
     Ok((builder, inserted))
 }
 

@@ -4,6 +4,9 @@ use lsfb_types::{Finding, Limit, Verdict};
 
 use super::Error;
 
+/// What to give instead of another trajectory.
+const OF_THE_MAP: &str = "give the trajectory that `lsfb map --out-trajectory` wrote with the map";
+
 impl Error {
     /// What was found, where the data is refused; `None` where something could not be read or done at all, or was asked for wrongly.
     pub fn finding(&self) -> Option<Finding> {
@@ -281,6 +284,19 @@ impl Error {
             )
             .value(*scans as f64, "")
             .remedy("give each walk once"),
+            Self::NoKeyframe => fail(
+                "start-elsewhere",
+                "",
+                "no keyframe of the map lies within this trajectory",
+            )
+            .remedy(OF_THE_MAP),
+            Self::AnotherTrajectory { far_cm, far_deg } => fail(
+                "start-elsewhere",
+                "",
+                format!("this is not the trajectory of this map: at its keyframes it differs by up to {far_cm:.1} cm and {far_deg:.2}°"),
+            )
+            .value(*far_cm, "cm")
+            .remedy(OF_THE_MAP),
             Self::Solver(problem) => fail("not-converged", "", problem.to_string())
                 .remedy("check units, axes and stamps of what is aligned"),
             _ => return None,

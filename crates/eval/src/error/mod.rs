@@ -141,14 +141,10 @@ pub enum Error {
     #[error("no distance has both ends among the survey's points; add map points (point A x y z)")]
     NoMapDistance,
     /// A trajectory in which no keyframe of a map lies.
-    #[error(
-        "no keyframe of the map lies within this trajectory: give the trajectory that `lsfb map --out-trajectory` wrote with the map"
-    )]
+    #[error("{}", self.message())]
     NoKeyframe,
     /// A trajectory that does not pass through the keyframes of a map.
-    #[error(
-        "this is not the trajectory of this map: at its keyframes it differs by up to {far_cm:.1} cm and {far_deg:.2}°; give the trajectory that `lsfb map --out-trajectory` wrote with the map"
-    )]
+    #[error("{}", self.message())]
     AnotherTrajectory {
         /// At most, centimetres.
         far_cm: f64,
@@ -257,7 +253,7 @@ pub enum Error {
     #[error(transparent)]
     Stopped(#[from] lsfb_types::Stopped),
     /// Least squares had no answer.
-    #[error(transparent)]
+    #[error("{}", self.message())]
     Solver(#[from] lsfb_solver::Error),
     /// There is no pose.
     #[error("{}", self.message())]

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use anyhow::bail;
 use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
 use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
@@ -11,12 +10,13 @@ use lsfb_geometry::MAIN_LIDAR;
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryResult, OdometryRun, TimedScan};
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
-use lsfb_types::Progress;
+use lsfb_types::{Finding, Progress, Verdict};
 
 use super::scratch::Scratch;
 use super::sensors::Sensors;
 use super::{Choice, InputReport, Run, expect_no_topics};
 use crate::context::Context;
+use crate::refused::Refused;
 
 /// Runs the odometry on a capture of packets.
 pub(super) fn run(
@@ -79,10 +79,11 @@ pub(super) fn decode(
     if report.streams.iter().all(|stream| stream.decoded == 0) {
         let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
         let why = bad.unwrap_or("it has no LiDAR packets");
-        bail!(
-            "{}: no scan could be assembled: {why}",
-            choice.path.display()
-        );
+        let subject = choice.path.display().to_string();
+        let what = format!("no scan could be assembled: {why}");
+        let none = Finding::new("no-scans", Verdict::Fail, subject, what)
+            .remedy("check the model (--lidar-model) and its calibration file");
+        return Err(Refused(none).into());
     }
     Ok(report)
 }
