@@ -269,15 +269,18 @@ impl Odometry {
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
-        let begins = match self.last {
+        // Taken out first: where the walk begins again, the odometry is another one.
+        let learned = match self.last {
             None => LearnedStart::before(self),
-            Some(_) => None,
+            Some(_) => self.learned_start.take(),
         };
-        let step = self.take_as_it_comes(scan)?;
-        Ok(match begins.or_else(|| self.learned_start.take()) {
-            Some(learned) => learned.go_on(self, scan, step),
-            None => step,
-        })
+        match (self.take_as_it_comes(scan), learned) {
+            (Ok(step), Some(learned)) => Ok(learned.go_on(self, scan, step)),
+            (step, learned) => {
+                self.learned_start = learned;
+                step
+            }
+        }
     }
 
     /// The same, with no look back at the start but in its first second.

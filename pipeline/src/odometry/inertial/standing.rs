@@ -19,8 +19,8 @@ const QUIET_FORCE_M_S2: f64 = 0.08;
 /// Who stands sways by so much, m/s, and turns by so much, rad/s.
 pub(super) const STANDING_VELOCITY_M_S: f64 = 0.012;
 pub(super) const STANDING_GYRO_RAD_S: f64 = 0.006;
-/// How far it is from upright then, radians, and from where it stands, at the height of a back and upwards, metres (standard deviations). So what
-/// is known of a mean rate or velocity of zero over `T` s is off by twice that in `T`. The centre of mass of people moves by 3 to 5 mm forwards and back, and less sideways.
+/// How far it is from upright then, radians, and from where it stands, at the height of a back and upwards, metres (standard deviations). So a mean
+/// rate or velocity over `T` s is off by √2 of that in `T`. The centre of mass of people moves by 3 to 5 mm forwards and back, and less sideways.
 const SWAY_RAD: f64 = 0.003;
 const SWAY_M: [f64; 3] = [0.0045, 0.0045, 0.001];
 /// Of the velocity of a carrier that was taken for standing and was not, m/s.
@@ -33,6 +33,9 @@ pub(super) struct Standing {
     pub specific_force: Vector3<f64>,
     /// When it was first looked at.
     pub since: Timestamp,
+    /// Integral of the measured angular velocity since, and over how long.
+    pub turned_rad: Vector3<f64>,
+    pub secs: f64,
 }
 
 impl Standing {
@@ -42,14 +45,30 @@ impl Standing {
             && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
     }
 
-    /// Standard deviation of what the mean over a span adds to those over all spans before it, by how far the carrier sways: 1/s. As means that
-    /// weigh the more the later they are add up to one that is off by twice the sway in the time it stood, the inverse square of that
-    /// grows by this span's part.
+    /// Takes in the mean angular velocity over the span that ends at `until`. Gives what, measured in each span with the standard deviation below,
+    /// adds up to the plain mean since the start: half of that mean and half of this span's.
+    fn measured_rate(
+        &mut self,
+        turn: Vector3<f64>,
+        from: Timestamp,
+        until: Timestamp,
+    ) -> Vector3<f64> {
+        let span_s = span_s(from, until);
+        self.turned_rad += turn * span_s;
+        self.secs += span_s;
+        0.5 * (self.turned_rad / self.secs + turn)
+    }
+
+    /// Standard deviation of what a span adds to all before it, by how far the carrier sways: 1/s. The mean over `T` s is off by √2 of that in `T`; of the
+    /// inverse square this is the span's part.
     fn sigma_per_sway(&self, from: Timestamp, until: Timestamp) -> f64 {
         let stood_s = until.secs_since(self.since).max(STANDING_SPAN_S);
-        let span_s = until.secs_since(from).clamp(1e-3, STANDING_SPAN_S);
-        (2.0 / (stood_s * span_s)).sqrt()
+        1.0 / (stood_s * span_s(from, until)).sqrt()
     }
+}
+
+fn span_s(from: Timestamp, until: Timestamp) -> f64 {
+    until.secs_since(from).clamp(1e-3, STANDING_SPAN_S)
 }
 
 impl InertialFilter {
@@ -72,7 +91,7 @@ impl InertialFilter {
 
     /// Takes in that it stands, where the samples ahead, up to some time, feel like it.
     pub(super) fn rest(&mut self, samples: &[Stamped<ImuSample>], until: Timestamp) {
-        let Some(standing) = self.standing.filter(|_| !samples.is_empty()) else {
+        let Some(mut standing) = self.standing.filter(|_| !samples.is_empty()) else {
             return;
         };
         let n = samples.len() as f64;
@@ -83,17 +102,19 @@ impl InertialFilter {
             self.standing = None;
             return;
         }
-        let bias_off = turn - self.state.gyro_bias_rad_s;
-        if bias_off.norm() > QUIET_RATE_RAD_S
+        if (turn - self.state.gyro_bias_rad_s).norm() > QUIET_RATE_RAD_S
             || (force - standing.specific_force).norm() > QUIET_FORCE_M_S2
         {
             return;
         }
+        let per_sway = standing.sigma_per_sway(self.time, until);
+        let rate = standing.measured_rate(turn, self.time, until);
+        self.standing = Some(standing);
+        let bias_off = rate - self.state.gyro_bias_rad_s;
         let mut off = Vector6::zeros();
         let velocity_off = -self.state.velocity_m_s;
         off.fixed_rows_mut::<3>(0).copy_from(&velocity_off);
         off.fixed_rows_mut::<3>(3).copy_from(&bias_off);
-        let per_sway = standing.sigma_per_sway(self.time, until);
         if let Some((delta, covariance)) = measured(&self.covariance, &off, per_sway) {
             self.covariance = covariance;
             self.state.add(&delta);

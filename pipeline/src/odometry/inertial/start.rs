@@ -90,6 +90,8 @@ impl InertialFilter {
                 angular_velocity: rate,
                 specific_force: force,
                 since: time,
+                turned_rad: Vector3::zeros(),
+                secs: 0.0,
             }),
             time,
             noise: noise.clone(),

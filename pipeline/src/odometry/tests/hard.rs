@@ -112,9 +112,9 @@ fn swaying(t: f64) -> Se3 {
 
 #[test]
 fn who_stands_and_sways_does_not_turn_what_is_mapped() {
-    let found = walk(swaying, 0.0..8.0, |_, _| ());
+    let found = walk(swaying, 0.0..10.0, |_, _| ());
     // Who is not begun again with the bias that motion tells is 0.49° off here: this pitch is little seen, and its bias told to a third.
-    assert_all_right(&found[60..], 0.014, 0.35);
+    assert_all_right(&found[90..], 0.018, 0.25);
 }
 
 /// Evenly, at a metre and 23° a second.

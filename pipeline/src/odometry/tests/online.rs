@@ -15,8 +15,8 @@ fn rig() -> lsfb_geometry::Rig {
 fn a_live_run_and_a_batch_run_agree_bit_for_bit() {
     let room = Room::furnished();
     // Long enough for the walk to be begun again with the bias that its motion tells.
-    let samples = room::imu_samples(8.0, 3);
-    let scans: Vec<_> = (0..70)
+    let samples = room::imu_samples(9.5, 3);
+    let scans: Vec<_> = (8..86)
         .map(|i| room::scan(&room, 0.1 * f64::from(i), 100 + i as u64))
         .collect();
     let config = OdometryConfig::default();
