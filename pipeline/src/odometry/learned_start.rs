@@ -9,6 +9,7 @@ use std::collections::VecDeque;
 
 use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
+use super::inertial::KnownBias;
 use super::motion::Motion;
 use super::{Odometry, OdometryStep, StepOutcome};
 
@@ -27,6 +28,8 @@ pub(super) struct LearnedStart {
     /// Before its first scan; once the bias is known, as far as it has caught up.
     begun: Box<Odometry>,
     stage: Stage,
+    /// What standing said of the bias: what motion says of it must be that.
+    at_rest: Option<KnownBias>,
     /// Scans that it has not taken.
     waiting: VecDeque<Stamped<LidarScan>>,
     /// What it made of those that it has.
@@ -48,6 +51,7 @@ impl LearnedStart {
         matches!(&odometry.motion, Motion::Inertial(m) if m.gyro_bias.is_none()).then(|| Self {
             begun: Box::new(odometry.clone()),
             stage: Stage::Standing,
+            at_rest: None,
             waiting: VecDeque::new(),
             steps: Vec::new(),
         })
@@ -94,6 +98,7 @@ impl LearnedStart {
         let begun = self.waiting.front().map_or(now, |scan| scan.time);
         match self.stage {
             Stage::Standing if odometry.stands() => {
+                self.at_rest = known_bias(odometry, begun);
                 (now.secs_since(begun) < LONG_STAND_S).then_some(Stage::Standing)
             }
             // In motion from its first scan on.
@@ -101,11 +106,9 @@ impl LearnedStart {
             Stage::Standing => Some(Stage::Telling(now)),
             Stage::Telling(since) if now.secs_since(since) < TELLING_S => Some(self.stage),
             Stage::Telling(_) => {
-                let Motion::Inertial(told) = &odometry.motion else {
-                    return None;
-                };
-                let bias = told.filter.as_ref()?.known_bias(begun);
-                if bias.sigma_rad_s.max() > KNOWN_RAD_S {
+                let bias = known_bias(odometry, begun)?;
+                // An axis that reads too much, or another's turns, looks like a bias while the carrier turns.
+                if bias.sigma_rad_s.max() > KNOWN_RAD_S || !bias.agrees(&self.at_rest?) {
                     return None;
                 }
                 if let Motion::Inertial(motion) = &mut self.begun.motion {
@@ -134,5 +137,12 @@ impl LearnedStart {
             }
         }
         true
+    }
+}
+
+fn known_bias(odometry: &Odometry, begun: Timestamp) -> Option<KnownBias> {
+    match &odometry.motion {
+        Motion::Inertial(told) => Some(told.filter.as_ref()?.known_bias(begun)),
+        Motion::Constant { .. } => None,
     }
 }

@@ -31,9 +31,7 @@ const UNFELT_VELOCITY_M_S: f64 = 0.3;
 pub(super) struct Standing {
     pub angular_velocity: Vector3<f64>,
     pub specific_force: Vector3<f64>,
-    /// When it was first looked at.
-    pub since: Timestamp,
-    /// Integral of the measured angular velocity since, and over how long.
+    /// Integral of the measured angular velocity since the start, and over how long it was measured: not over pauses of the IMU.
     pub turned_rad: Vector3<f64>,
     pub secs: f64,
 }
@@ -45,30 +43,18 @@ impl Standing {
             && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
     }
 
-    /// Takes in the mean angular velocity over the span that ends at `until`. Gives what, measured in each span with the standard deviation below,
-    /// adds up to the plain mean since the start: half of that mean and half of this span's.
-    fn measured_rate(
-        &mut self,
-        turn: Vector3<f64>,
-        from: Timestamp,
-        until: Timestamp,
-    ) -> Vector3<f64> {
-        let span_s = span_s(from, until);
+    /// Takes in the mean angular velocity over a span. Gives what, measured in each span with the standard deviation below, adds up to the plain mean
+    /// since the start: half of that mean and half of this span's.
+    ///
+    /// That standard deviation goes by how far the carrier sways, 1/s: the mean over `T` s is off by √2 of that in `T`; of the inverse square this is
+    /// the span's part.
+    fn measured_rate(&mut self, turn: Vector3<f64>, span_s: f64) -> (Vector3<f64>, f64) {
         self.turned_rad += turn * span_s;
         self.secs += span_s;
-        0.5 * (self.turned_rad / self.secs + turn)
+        let rate = 0.5 * (self.turned_rad / self.secs + turn);
+        let stood_s = self.secs.max(STANDING_SPAN_S);
+        (rate, 1.0 / (stood_s * span_s).sqrt())
     }
-
-    /// Standard deviation of what a span adds to all before it, by how far the carrier sways: 1/s. The mean over `T` s is off by √2 of that in `T`; of the
-    /// inverse square this is the span's part.
-    fn sigma_per_sway(&self, from: Timestamp, until: Timestamp) -> f64 {
-        let stood_s = until.secs_since(self.since).max(STANDING_SPAN_S);
-        1.0 / (stood_s * span_s(from, until)).sqrt()
-    }
-}
-
-fn span_s(from: Timestamp, until: Timestamp) -> f64 {
-    until.secs_since(from).clamp(1e-3, STANDING_SPAN_S)
 }
 
 impl InertialFilter {
@@ -107,8 +93,8 @@ impl InertialFilter {
         {
             return;
         }
-        let per_sway = standing.sigma_per_sway(self.time, until);
-        let rate = standing.measured_rate(turn, self.time, until);
+        let span_s = until.secs_since(self.time).clamp(1e-3, STANDING_SPAN_S);
+        let (rate, per_sway) = standing.measured_rate(turn, span_s);
         self.standing = Some(standing);
         let bias_off = rate - self.state.gyro_bias_rad_s;
         let mut off = Vector6::zeros();

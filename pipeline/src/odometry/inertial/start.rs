@@ -23,6 +23,17 @@ pub(in crate::odometry) struct KnownBias {
     pub sigma_rad_s: Vector3<f64>,
 }
 
+impl KnownBias {
+    /// Whether both may be one: within three standard deviations.
+    pub fn agrees(&self, other: &Self) -> bool {
+        let apart = (self.rad_s - other.rad_s).abs();
+        let sigma = self
+            .sigma_rad_s
+            .zip_map(&other.sigma_rad_s, |a, b| f64::hypot(a, b));
+        apart.iter().zip(&sigma).all(|(apart, s)| *apart <= 3.0 * s)
+    }
+}
+
 impl InertialFilter {
     /// Starts at the world's origin at `time`, level by the mean specific force of `samples`, heading along x.
     /// While the carrier stands the mean angular velocity is the gyroscope bias. `None` without samples.
@@ -89,7 +100,6 @@ impl InertialFilter {
             standing: stands.then_some(Standing {
                 angular_velocity: rate,
                 specific_force: force,
-                since: time,
                 turned_rad: Vector3::zeros(),
                 secs: 0.0,
             }),

@@ -149,6 +149,39 @@ fn poses_teach_the_accelerometer_bias() {
     assert!(state.velocity_m_s.norm() < 2e-3, "{state:?}");
 }
 
+/// A clock that is set while the carrier stands tells nothing more of the bias: a minute's pause was a minute of standing.
+#[test]
+fn a_pause_is_no_standing() {
+    let samples = at_rest(&UnitQuaternion::identity(), [0.0; 3]);
+    let zero = Timestamp::from_nanos(0);
+    let sigma = |pause_ns: i64| {
+        let mut samples = samples.clone();
+        for s in &mut samples[200..] {
+            s.time = s.time.plus_nanos(pause_ns);
+        }
+        let mut filter = InertialFilter::start(&samples[..20], zero, &NOISE).expect("samples");
+        filter.predict(&samples, samples[399].time);
+        assert!(filter.stands());
+        filter.known_bias(filter.time()).sigma_rad_s.max()
+    };
+    let (whole, paused) = (sigma(0), sigma(60_000_000_000));
+    assert!(paused > 0.9 * whole, "{paused} {whole}");
+}
+
+/// Of a walk that turns at two radians a second with a gyroscope that reads a twentieth too much, motion told a bias of 25 mrad/s: the walk was begun again with
+/// it, and turned by that while it stood.
+#[test]
+fn a_bias_that_standing_denies_is_none() {
+    let known = |z: f64, sigma: f64| KnownBias {
+        rad_s: Vector3::new(0.004, -0.003, z),
+        sigma_rad_s: Vector3::repeat(sigma),
+    };
+    let at_rest = known(0.0065, 0.0047);
+    assert!(!known(0.0251, 0.0009).agrees(&at_rest));
+    assert!(known(0.0150, 0.0009).agrees(&at_rest));
+    assert!(!known(f64::NAN, 0.0009).agrees(&at_rest));
+}
+
 /// Who stands sways, by some milliradians, slowly: what is stated of a turn after a second and a half of standing and a second of motion is enough
 /// for that; as of many independent means, or by the gyroscope's noise, it would be far too little.
 #[test]
