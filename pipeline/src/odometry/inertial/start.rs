@@ -27,9 +27,7 @@ impl KnownBias {
     /// Whether both may be one: within three standard deviations.
     pub fn agrees(&self, other: &Self) -> bool {
         let apart = (self.rad_s - other.rad_s).abs();
-        let sigma = self
-            .sigma_rad_s
-            .zip_map(&other.sigma_rad_s, |a, b| f64::hypot(a, b));
+        let sigma = self.sigma_rad_s.zip_map(&other.sigma_rad_s, f64::hypot);
         apart.iter().zip(&sigma).all(|(apart, s)| *apart <= 3.0 * s)
     }
 }
