@@ -43,11 +43,11 @@ mod byte_stream;
 mod conversation;
 mod decoded;
 mod error;
-#[cfg(feature = "hesai")]
-pub mod hesai;
 mod imu_family;
 #[cfg(feature = "lidar")]
 pub mod lidar;
+#[cfg(feature = "lidar")]
+mod lidar_vendors;
 #[cfg(feature = "microstrain")]
 pub mod microstrain;
 #[cfg(feature = "mynt-d")]
@@ -63,11 +63,11 @@ pub mod sidecar;
 #[cfg(test)]
 mod test_random;
 pub mod transport;
-#[cfg(feature = "velodyne")]
-pub mod velodyne;
 #[cfg(feature = "xsens")]
 pub mod xsens;
 
 pub use decoded::Decoded;
 pub use error::{Error, WireError};
 pub use imu_family::ImuFamily;
+#[cfg(feature = "lidar")]
+pub use lidar_vendors::*;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::answer::json;
 use crate::capture_file::{Frame, capture, pcap};
-use crate::refusal::refused;
+use crate::refusal::{found_unfit, refused};
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::Recording;
 use lsfb_tests::recordings;
@@ -143,7 +143,7 @@ fn a_capture_without_the_lidar_says_what_is_in_it() {
         ),
         ("nothing.pcap", &["it has no LiDAR datagrams"]),
     ] {
-        refused(path, &["scan", "--pcap", name, "--out", "out.mcap"], words);
+        found_unfit(path, &["scan", "--pcap", name, "--out", "out.mcap"], words);
         assert!(!path.join("out.mcap").exists(), "{name}");
     }
     let ports = ["--lidar-ports", "2370", "--out", "out.mcap"];
@@ -173,7 +173,7 @@ fn another_sensor_on_the_lidars_port_is_named() {
         "--out",
         "robosense.mcap",
     ];
-    refused(
+    found_unfit(
         path,
         &scan,
         &[
@@ -265,8 +265,12 @@ fn models_that_are_not_there_are_refused_by_name() {
         ];
         match model {
             "vlp-32c" => drop(json(path, &scan, 0)),
-            "vlp-16" => refused(path, &scan, &["VLP-32C, but a VLP-16 is configured"]),
-            _ => refused(path, &scan, &["but a XT32 is configured"]),
+            "vlp-16" => drop(found_unfit(
+                path,
+                &scan,
+                &["VLP-32C, but a VLP-16 is configured"],
+            )),
+            _ => drop(found_unfit(path, &scan, &["but a XT32 is configured"])),
         }
     }
 }
@@ -286,7 +290,7 @@ fn a_sensor_whose_factory_bytes_lie_is_read_by_force() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path();
     let scan = ["scan", "--pcap", text(&capture), "--out"];
-    refused(
+    found_unfit(
         path,
         &[&scan[..], &["lies.mcap"]].concat(),
         &["--lidar-model and --force-returns"],

@@ -96,7 +96,7 @@ fn places_in_centimetres_are_refused(root: &Path, walk: &str) {
         "cm.csv",
     ];
     let said = lsfb(root, &command);
-    assert_eq!(said.status.code(), Some(1), "{said:?}");
+    assert_eq!(said.status.code(), Some(4), "{said:?}");
     let said = String::from_utf8_lossy(&said.stderr);
     assert!(said.contains("100 m/s between known positions"), "{said}");
 }

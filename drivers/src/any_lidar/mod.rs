@@ -1,8 +1,8 @@
 //! One decoder for whatever LiDAR sends.
 //!
-//! A new LiDAR is a folder like `hesai/` and a line in the list at the end of `lidars!`. Its module offers the same names as
-//! its siblings: `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `FACTORY_PORTS`, `PAGE`, `recognise`, `is_beside`,
-//! `device_ns` and `position`. Nobody outside this crate names a vendor's module to record, so that all take the new one from the list.
+//! A new LiDAR is a folder in `lidar_vendors/` and a line in the list there. Its module offers the same names as its siblings:
+//! `Model`, `Decoder`, `DecoderConfig`, `DecodeError`, `FACTORY_PORTS`, `PAGE`, `recognise`, `is_beside`, `device_ns`, `position`
+//! and `blank_packets`. Nobody outside this crate names a vendor's module to record, so that all take the new one from the list.
 //!
 //! ```
 //! use lsfb_drivers::any_lidar::{Decoder, Settings};
@@ -20,6 +20,7 @@ mod reorder;
 use lsfb_types::{LidarScan, Packet, Timestamp};
 
 use crate::lidar::{Counters, Found, Page, Position, ScanSettings};
+use crate::lidar_vendors::each_lidar;
 use crate::{Decoded, WireError};
 
 pub use looks_like::looks_like;
@@ -34,9 +35,9 @@ pub struct Settings {
     pub scans: ScanSettings,
 }
 
-/// The LiDARs. A line: how it is called, its module, and the feature that it is built with.
+/// What is made of the list of vendors.
 macro_rules! lidars {
-    ($($Lidar:ident $module:ident $feature:literal,)+) => {
+    ($($Lidar:ident $module:ident,)+) => {
         /// Why a packet gave no points. Every such packet is counted in [`Counters`] too.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
         #[non_exhaustive]
@@ -66,9 +67,8 @@ macro_rules! lidars {
             },
             $(
                 /// The sensor's own decoder refused it.
-                #[cfg(feature = $feature)]
                 #[error(transparent)]
-                $Lidar(crate::$module::DecodeError),
+                $Lidar(crate::lidar_vendors::$module::DecodeError),
             )+
         }
 
@@ -76,9 +76,8 @@ macro_rules! lidars {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Model {
             $(
-                #[doc = concat!("One of [`crate::", stringify!($module), "`].")]
-                #[cfg(feature = $feature)]
-                $Lidar(crate::$module::Model),
+                #[doc = concat!("One of [`crate::lidar_vendors::", stringify!($module), "`].")]
+                $Lidar(crate::lidar_vendors::$module::Model),
             )+
         }
 
@@ -87,8 +86,7 @@ macro_rules! lidars {
             pub fn all() -> Vec<Self> {
                 let mut all = Vec::new();
                 $(
-                    #[cfg(feature = $feature)]
-                    all.extend(crate::$module::Model::ALL.into_iter().map(Self::$Lidar));
+                    all.extend(crate::lidar_vendors::$module::Model::ALL.into_iter().map(Self::$Lidar));
                 )+
                 all
             }
@@ -97,7 +95,6 @@ macro_rules! lidars {
             pub fn lasers(self) -> usize {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(model) => model.lasers(),
                     )+
                 }
@@ -108,7 +105,6 @@ macro_rules! lidars {
             fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(model) => model.fmt(f),
                     )+
                 }
@@ -117,8 +113,7 @@ macro_rules! lidars {
 
         enum Unit {
             $(
-                #[cfg(feature = $feature)]
-                $Lidar(Box<crate::$module::Decoder>),
+                $Lidar(Box<crate::lidar_vendors::$module::Decoder>),
             )+
         }
 
@@ -126,16 +121,14 @@ macro_rules! lidars {
             /// The decoder of whoever sends such packets.
             fn recognise(bytes: &[u8], settings: &Settings) -> Option<Self> {
                 $(
-                    #[cfg(feature = $feature)]
-                    if crate::$module::recognise(bytes) {
+                    if crate::lidar_vendors::$module::recognise(bytes) {
                         let model = match settings.model {
                             Some(Model::$Lidar(model)) => Ok(Some(model)),
                             None => Ok(None),
-                            #[allow(unreachable_patterns, reason = "where one vendor alone is built")]
                             Some(other) => Err(other),
                         };
-                        let config = crate::$module::DecoderConfig::new(model.ok()?, &settings.scans);
-                        let decoder = crate::$module::Decoder::new(config);
+                        let config = crate::lidar_vendors::$module::DecoderConfig::new(model.ok()?, &settings.scans);
+                        let decoder = crate::lidar_vendors::$module::Decoder::new(config);
                         return Some(Self::$Lidar(Box::new(decoder)));
                     }
                 )+
@@ -145,9 +138,8 @@ macro_rules! lidars {
             fn push(&mut self, packet: &Packet) -> Result<Option<Decoded<LidarScan>>, DecodeError> {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(decoder) => decoder.push(packet).map_err(|error| match error {
-                            crate::$module::DecodeError::Wire(error) => DecodeError::Wire(error),
+                            crate::lidar_vendors::$module::DecodeError::Wire(error) => DecodeError::Wire(error),
                             error => DecodeError::$Lidar(error),
                         }),
                     )+
@@ -157,7 +149,6 @@ macro_rules! lidars {
             fn ready(&mut self) -> Option<Decoded<LidarScan>> {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(decoder) => decoder.ready(),
                     )+
                 }
@@ -166,7 +157,6 @@ macro_rules! lidars {
             fn finish(&mut self) -> Option<Decoded<LidarScan>> {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(decoder) => decoder.finish(),
                     )+
                 }
@@ -175,7 +165,6 @@ macro_rules! lidars {
             fn counters(&self) -> &Counters {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(decoder) => decoder.counters(),
                     )+
                 }
@@ -184,7 +173,6 @@ macro_rules! lidars {
             fn found(&self) -> Option<Found<Model>> {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
                         Self::$Lidar(decoder) => decoder.found().map(|found| Found {
                             model: Model::$Lidar(found.model),
                             returns: found.returns,
@@ -198,8 +186,7 @@ macro_rules! lidars {
             fn recognises(&self, bytes: &[u8]) -> bool {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
-                        Self::$Lidar(_) => crate::$module::recognise(bytes),
+                        Self::$Lidar(_) => crate::lidar_vendors::$module::recognise(bytes),
                     )+
                 }
             }
@@ -207,8 +194,7 @@ macro_rules! lidars {
             fn position(&self, bytes: &[u8], arrival: Timestamp) -> Option<Result<Position, WireError>> {
                 match self {
                     $(
-                        #[cfg(feature = $feature)]
-                        Self::$Lidar(_) => crate::$module::position(bytes, arrival),
+                        Self::$Lidar(_) => crate::lidar_vendors::$module::position(bytes, arrival),
                     )+
                 }
             }
@@ -217,8 +203,7 @@ macro_rules! lidars {
         /// Whether a datagram is one beside the data that is recorded and not read, whichever LiDAR's it is.
         fn is_beside(bytes: &[u8]) -> bool {
             $(
-                #[cfg(feature = $feature)]
-                if crate::$module::is_beside(bytes) {
+                if crate::lidar_vendors::$module::is_beside(bytes) {
                     return true;
                 }
             )+
@@ -228,16 +213,14 @@ macro_rules! lidars {
         /// Ports of data packets and of those beside them, as the sensors leave the factory.
         const FACTORY_PORTS: &[[u16; 2]] = &[
             $(
-                #[cfg(feature = $feature)]
-                crate::$module::FACTORY_PORTS,
+                crate::lidar_vendors::$module::FACTORY_PORTS,
             )+
         ];
 
         /// The page on which sensors of a model are set; where it is not known, that of the first LiDAR in the list that has one.
         pub fn page_of(model: Option<Model>) -> Option<Page> {
             $(
-                #[cfg(feature = $feature)]
-                if let (None | Some(Model::$Lidar(_)), Some(page)) = (model, crate::$module::PAGE) {
+                if let (None | Some(Model::$Lidar(_)), Some(page)) = (model, crate::lidar_vendors::$module::PAGE) {
                     return Some(page);
                 }
             )+
@@ -247,8 +230,7 @@ macro_rules! lidars {
         /// Time of a data packet past the sensor's hour, nanoseconds; `None` where it is no data packet of a known LiDAR.
         pub fn device_ns(bytes: &[u8]) -> Option<i64> {
             $(
-                #[cfg(feature = $feature)]
-                if let Some(time_ns) = crate::$module::device_ns(bytes) {
+                if let Some(time_ns) = crate::lidar_vendors::$module::device_ns(bytes) {
                     return Some(time_ns);
                 }
             )+
@@ -258,19 +240,27 @@ macro_rules! lidars {
         /// Who makes the LiDAR that sends such data packets.
         fn maker(bytes: &[u8]) -> Option<&'static str> {
             $(
-                #[cfg(feature = $feature)]
-                if crate::$module::recognise(bytes) {
+                if crate::lidar_vendors::$module::recognise(bytes) {
                     return Some(stringify!($Lidar));
                 }
             )+
             None
         }
 
+        /// Data packets without a return, one of each model and way of sending echoes: what simulators and tests begin with.
+        pub fn blank_packets() -> Vec<(Model, Vec<u8>)> {
+            let mut all = Vec::new();
+            $(
+                let blank = crate::lidar_vendors::$module::blank_packets();
+                all.extend(blank.into_iter().map(|(model, bytes)| (Model::$Lidar(model), bytes)));
+            )+
+            all
+        }
+
         /// What a packet beside the data says, whichever LiDAR's it is; `None` where it is none.
         fn any_position(bytes: &[u8], arrival: Timestamp) -> Option<Result<Position, WireError>> {
             $(
-                #[cfg(feature = $feature)]
-                if let Some(position) = crate::$module::position(bytes, arrival) {
+                if let Some(position) = crate::lidar_vendors::$module::position(bytes, arrival) {
                     return Some(position);
                 }
             )+
@@ -279,10 +269,7 @@ macro_rules! lidars {
     };
 }
 
-lidars! {
-    Velodyne velodyne "velodyne",
-    Hesai hesai "hesai",
-}
+each_lidar!(lidars);
 
 /// Ports of data packets and of those beside them, unless told otherwise: those of the first LiDAR in the list.
 pub const DEFAULT_PORTS: [u16; 2] = FACTORY_PORTS[0];

@@ -1,7 +1,7 @@
 use super::*;
-use crate::hesai::wire::{Clock, DataPacket};
 use crate::lidar::SensorSettings;
-use crate::{hesai, velodyne};
+use crate::lidar_vendors::hesai::wire::{Clock, DataPacket};
+use crate::lidar_vendors::{hesai, velodyne};
 
 /// One XT32 packet, `number` half milliseconds after the top of the hour.
 fn xt32(number: u32) -> Packet {
@@ -65,6 +65,28 @@ fn a_configured_model_keeps_others_out() {
             model == Model::Hesai(hesai::Model::Xt32),
             "{model}"
         );
+    }
+}
+
+/// A vendor whose packets another one takes for its own, or whose own decoder refuses them, cannot be recorded.
+#[test]
+fn packets_of_each_model_are_taken_by_its_own_decoder() {
+    let blank = blank_packets();
+    for model in Model::all() {
+        let own = blank.iter().filter(|(of, _)| *of == model);
+        let mut count = 0;
+        for (_, bytes) in own {
+            count += 1;
+            let mut decoder = Decoder::new(Settings::default());
+            let packet = |ms: i64| Packet {
+                arrival: Timestamp::from_nanos(ms * 1_000_000),
+                bytes: bytes.clone(),
+            };
+            assert!(decoder.is_data(bytes) && !is_beside_data(bytes), "{model}");
+            decoder.push(&packet(0)).unwrap();
+            assert_eq!(decoder.found().unwrap().model, model);
+        }
+        assert!(count >= 3, "{model} has {count} ways of sending echoes");
     }
 }
 

@@ -15,10 +15,8 @@ pub(crate) use order::{LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
 pub use page::{Destination, Page, SensorSettings, SettingsError};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
-pub(crate) use scan_builder::ScanBuilder;
 pub use scan_builder::TURN_CENTIDEG;
-#[cfg(feature = "velodyne")]
-pub(crate) use scan_builder::turn;
+pub(crate) use scan_builder::{ScanBuilder, turn};
 
 /// Kernel receive buffer that is wanted for a sensor, bytes: seconds of its data.
 pub const RECEIVE_BUFFER_BYTES: usize = 8 << 20;

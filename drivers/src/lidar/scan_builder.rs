@@ -118,7 +118,6 @@ impl ScanBuilder {
     }
 
     /// Forgets the scan: what was put into it is not to be believed.
-    #[cfg(feature = "velodyne")]
     pub fn discard(&mut self) {
         self.scan = None;
     }

@@ -9,14 +9,14 @@ pub mod can;
 #[cfg(feature = "faults")]
 pub mod faults;
 mod host_clock;
-#[cfg(feature = "velodyne")]
+#[cfg(feature = "lidar")]
 pub mod http;
 #[cfg(feature = "pcap")]
 pub mod pcap;
 #[cfg(feature = "sidecar")]
 mod pinned_tls;
 #[cfg(any(
-    feature = "velodyne",
+    feature = "lidar",
     feature = "mynt-s",
     feature = "sidecar",
     feature = "can",

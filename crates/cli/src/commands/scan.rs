@@ -18,11 +18,13 @@ use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::{MAIN_LIDAR, Rig};
 use lsfb_operator::{ScreenConfig, SecureScreen};
 use lsfb_recording::Existing;
+use lsfb_types::{Finding, Verdict};
 
 use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig, LiveOdometryReport, Odometry, Recorded};
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
+use crate::refused::Refused;
 
 /// Where the rig's certificate is, beside a list of devices without a `[sidecar]`.
 const SIDECAR_FOLDER: &str = "sidecar";
@@ -271,13 +273,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         _ => bail!("give a source: --devices, --pcap, --db3 or --mcap"),
     };
     if report.streams.iter().all(|stream| stream.decoded == 0) {
-        let why = nothing(&report, &beside);
+        let mut why = nothing(&report, &beside);
         if report.streams.iter().all(|stream| stream.received == 0) {
             std::fs::remove_file(&report.path)
                 .with_context(|| report.path.display().to_string())?;
-            bail!("{why}");
+        } else {
+            let _ = write!(why, "; the packets are in {}", report.path.display());
         }
-        bail!("{why}; the packets are in {}", report.path.display());
+        let none = Finding::new("no-scans", Verdict::Fail, "", why)
+            .remedy("check --lidar-ports, --lidar-model and which sensor was captured");
+        return Err(Refused(none).into());
     }
     print(&report, context)
 }

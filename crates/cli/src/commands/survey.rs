@@ -140,10 +140,17 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         least_secs: arguments.rest_secs,
         ..RestConfig::default()
     };
-    config.check_bounds("rests")?;
+    config.check_bounds("").map_err(|error| OutOfBounds {
+        field: match error.field.as_str() {
+            "spread_m" => "--rest-spread-m".to_owned(),
+            "least_secs" => "--rest-secs".to_owned(),
+            other => other.to_owned(),
+        },
+        ..error
+    })?;
     let reach_m = arguments.reach_m;
     if !Bounds::POSITIVE.hold(reach_m) {
-        return Err(OutOfBounds::new("", "reach_m", &reach_m, &Bounds::POSITIVE).into());
+        return Err(OutOfBounds::new("", "--reach-m", &reach_m, &Bounds::POSITIVE).into());
     }
     let mut findings = Vec::new();
     let mut solved = None;

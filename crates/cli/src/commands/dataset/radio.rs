@@ -6,12 +6,13 @@ use lsfb_eval::radio::{
     KnownPlace, PlacedReading, PlacingConfig, RadioKind, place, table, waypoints,
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
-use lsfb_types::median;
+use lsfb_types::{Finding, Limit, Verdict, median};
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
+use crate::refused::Refused;
 
 /// Locate every Wi-Fi, Bluetooth and magnetic reading of a walk, with its standard deviation.
 ///
@@ -55,6 +56,9 @@ struct Found<'a> {
     sigma_rms_m: Option<f64>,
 }
 
+/// So many known positions, at least, have a reading between them.
+const LEAST_KNOWN: usize = 2;
+
 /// Faster than this nobody moves who listens for radio, m/s: places in centimetres, or of another clock.
 const FASTEST_M_S: f64 = 30.0;
 
@@ -75,30 +79,40 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => of_trajectory(path, context)?,
         None => waypoints(&recording)?,
     };
-    anyhow::ensure!(
-        known.len() >= 2,
-        "{}: {} known positions: give a trajectory with --trajectory",
-        arguments.recording.display(),
-        known.len()
-    );
+    let refused = |code, what: String| {
+        let subject = arguments.recording.display().to_string();
+        Finding::new(code, Verdict::Fail, subject, what)
+    };
+    if known.len() < LEAST_KNOWN {
+        let count = known.len() as f64;
+        let finding = refused("known-positions", format!("{count} known positions"))
+            .value(count, "")
+            .limit(Limit::AtLeast(LEAST_KNOWN as f64))
+            .remedy("give a trajectory with --trajectory");
+        return Err(Refused(finding).into());
+    }
     let speeds = known.windows(2).map(|pair| {
         let moved_m = (pair[1].position_m - pair[0].position_m).norm();
         moved_m / pair[1].time.secs_since(pair[0].time).max(1e-3)
     });
     let usual_m_s = median(speeds.collect()).unwrap_or(0.0);
-    anyhow::ensure!(
-        usual_m_s < FASTEST_M_S,
-        "{}: {usual_m_s:.0} m/s between known positions: are positions in metres, and times on the recording's clock?",
-        arguments.recording.display()
-    );
+    if usual_m_s >= FASTEST_M_S {
+        let what = format!("{usual_m_s:.0} m/s between known positions");
+        let finding = refused("speed", what)
+            .value(usual_m_s, "m/s")
+            .limit(Limit::AtMost(FASTEST_M_S))
+            .remedy("check that positions are in metres, and times on the recording's clock");
+        return Err(Refused(finding).into());
+    }
     let placed = place(&recording, &known, &config)?;
-    anyhow::ensure!(
-        !placed.readings.is_empty(),
-        "{}: no reading could be placed: {} outside the time of the known positions, {} in gaps; check that both use one clock",
-        arguments.recording.display(),
-        placed.outside,
-        placed.in_gaps
-    );
+    if placed.readings.is_empty() {
+        let what = format!(
+            "no reading could be placed: {} outside the time of the known positions, {} in gaps",
+            placed.outside, placed.in_gaps
+        );
+        let finding = refused("no-readings", what).remedy("check that both use one clock");
+        return Err(Refused(finding).into());
+    }
     write(out, table(&placed.readings))?;
     let of = |kind| placed.readings.iter().filter(|r| r.kind == kind).count();
     let squares: f64 = placed.readings.iter().map(|r| r.sigma_m * r.sigma_m).sum();

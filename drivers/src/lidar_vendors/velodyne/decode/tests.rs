@@ -5,9 +5,9 @@ use lsfb_types::{Echo, Timestamp};
 
 use super::*;
 use crate::lidar::HOUR_NS;
+use crate::lidar_vendors::velodyne::wire::DATA_PACKET_LEN;
 use crate::transport::PacketSource;
 use crate::transport::faults::{Fault, Faulty};
-use crate::velodyne::wire::DATA_PACKET_LEN;
 
 const START_NS: i64 = 1_772_359_200_000_000_000;
 
@@ -92,18 +92,20 @@ fn run(config: DecoderConfig, packets: &[Packet]) -> Run {
 
 #[test]
 fn our_vectors_decode_to_every_listed_point() {
-    let vectors: serde_json::Value =
-        serde_json::from_str(include_str!("../../../tests/vectors/velodyne_vectors.json")).unwrap();
+    let vectors: serde_json::Value = serde_json::from_str(include_str!(
+        "../../../../tests/vectors/velodyne_vectors.json"
+    ))
+    .unwrap();
     let bytes: [&[u8]; 3] = [
-        include_bytes!("../../../tests/vectors/vlp32c_strongest_wrap.bin"),
-        include_bytes!("../../../tests/vectors/vlp32c_dual.bin"),
-        include_bytes!("../../../tests/vectors/vlp32c_last_onepoint.bin"),
+        include_bytes!("../../../../tests/vectors/vlp32c_strongest_wrap.bin"),
+        include_bytes!("../../../../tests/vectors/vlp32c_dual.bin"),
+        include_bytes!("../../../../tests/vectors/vlp32c_last_onepoint.bin"),
     ];
     for (vector, bytes) in vectors.as_array().unwrap().iter().zip(bytes) {
         let packet = DataPacket::new(bytes).unwrap();
         let mode = returns_of_code(packet.return_mode_code()).unwrap();
         let layout = PacketLayout::new(&packet, Model::Vlp32c, mode);
-        let hits: Vec<_> = crate::velodyne::returns(&packet, &layout).collect();
+        let hits: Vec<_> = crate::lidar_vendors::velodyne::returns(&packet, &layout).collect();
         let expected = vector["points"].as_array().unwrap();
         assert_eq!(hits.len(), expected.len());
         let run = run(

@@ -268,6 +268,20 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
     }
 }
 
+/// A data packet without a return, of each model in each return mode.
+pub fn blank_packets() -> Vec<(Model, Vec<u8>)> {
+    let mut all = Vec::new();
+    for model in Model::ALL {
+        for mode in ReturnMode::ALL {
+            let bytes = vec![0; model.layout().len + SEQUENCE_BYTES];
+            if let Ok(packet) = DataPacket::init(bytes, model, mode) {
+                all.push((model, packet.into_inner()));
+            }
+        }
+    }
+    all
+}
+
 impl<T: AsRef<[u8]> + AsMut<[u8]>> DataPacket<T> {
     /// Clears the bytes and writes what every packet has. Room for a number behind the packet is optional.
     pub fn init(mut bytes: T, model: Model, mode: ReturnMode) -> Result<Self, WireError> {

@@ -2,7 +2,7 @@ use super::*;
 
 #[test]
 fn data_packet_is_read_and_written_byte_by_byte() {
-    let bytes = include_bytes!("../../../tests/vectors/vlp32c_strongest_wrap.bin");
+    let bytes = include_bytes!("../../../../tests/vectors/vlp32c_strongest_wrap.bin");
     assert_eq!(
         bytes[..10],
         [0xFF, 0xEE, 0x3C, 0x8C, 0xF4, 0x01, 0x00, 0xEE, 0x02, 0x07]
@@ -42,7 +42,7 @@ fn data_packet_is_read_and_written_byte_by_byte() {
 
 #[test]
 fn what_is_no_data_packet_says_why() {
-    let mut bytes = *include_bytes!("../../../tests/vectors/vlp32c_dual.bin");
+    let mut bytes = *include_bytes!("../../../../tests/vectors/vlp32c_dual.bin");
     let short = DataPacket::new(&bytes[..512]).unwrap_err();
     assert_eq!(
         short,
@@ -83,7 +83,7 @@ fn what_is_no_data_packet_says_why() {
 
 #[test]
 fn position_packet_with_lock_is_read_and_written_byte_by_byte() {
-    let bytes = include_bytes!("../../../tests/vectors/velodyne_position_locked.bin");
+    let bytes = include_bytes!("../../../../tests/vectors/velodyne_position_locked.bin");
     let packet = PositionPacket::new(&bytes[..]).unwrap();
     assert_eq!(packet.top_temperature_celsius(), 45);
     assert_eq!(packet.bottom_temperature_celsius(), 40);
@@ -118,7 +118,7 @@ fn position_packet_with_lock_is_read_and_written_byte_by_byte() {
 
 #[test]
 fn position_packet_without_pulse() {
-    let bytes = include_bytes!("../../../tests/vectors/velodyne_position_absent.bin");
+    let bytes = include_bytes!("../../../../tests/vectors/velodyne_position_absent.bin");
     let packet = PositionPacket::new(&bytes[..]).unwrap();
     assert_eq!(
         (packet.pps_status(), packet.timestamp_us()),

@@ -10,17 +10,17 @@ use std::time::Duration;
 
 use crate::Error;
 use crate::lidar::Counters;
+use crate::lidar_vendors::velodyne::model::{Model, Product};
+use crate::lidar_vendors::velodyne::nmea::Rmc;
+use crate::lidar_vendors::velodyne::wire::{
+    DataPacket, PositionPacket, PpsStatus, Returns, identify, returns_of_code,
+};
+use crate::lidar_vendors::velodyne::{
+    DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
+};
 use crate::transport::PacketSource;
 use crate::transport::pcap::PcapSource;
 use crate::transport::rosbag2::Rosbag2Source;
-use crate::velodyne::model::{Model, Product};
-use crate::velodyne::nmea::Rmc;
-use crate::velodyne::wire::{
-    DataPacket, PositionPacket, PpsStatus, Returns, identify, returns_of_code,
-};
-use crate::velodyne::{
-    DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
-};
 use lsfb_tests::recordings;
 use lsfb_types::{LidarPoint, LidarScan, Packet};
 

@@ -15,12 +15,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use crate::Error;
+use crate::lidar_vendors::velodyne::model::{Model, Product};
+use crate::lidar_vendors::velodyne::wire::{DataPacket, Returns, returns_of_code};
+use crate::lidar_vendors::velodyne::{
+    Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
+};
 use crate::transport::PacketSource;
 use crate::transport::pcap::PcapSource;
 use crate::transport::rosbag2::Rosbag2Source;
-use crate::velodyne::model::{Model, Product};
-use crate::velodyne::wire::{DataPacket, Returns, returns_of_code};
-use crate::velodyne::{Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns};
 use flate2::read::DeflateDecoder;
 use lsfb_tests::recordings as data;
 use lsfb_types::{Echo, LidarPoint, Packet};

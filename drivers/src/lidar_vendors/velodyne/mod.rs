@@ -38,3 +38,4 @@ pub use layout::{PacketLayout, Return, returns};
 pub use model::{FACTORY_PORTS, Model};
 pub use points::OpticalOffset;
 pub use web::{PAGE, SensorPage, SensorWeb, SettingsHandling};
+pub use wire::blank_packets;

@@ -12,9 +12,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::any_lidar::{Decoder, Model, Settings};
-use crate::hesai;
 use crate::lidar::{BeamAngles, ScanSettings};
+use crate::lidar_vendors::hesai::{Decoder, DecoderConfig, Model};
 use crate::transport::rosbag2::Rosbag2Source;
 use lsfb_tests::recordings;
 use lsfb_types::{Echo, LidarPoint, LidarScan, Packet};
@@ -41,7 +40,7 @@ struct Case {
     angles: &'static str,
     bag: &'static str,
     cloud: &'static str,
-    model: hesai::Model,
+    model: Model,
     returns: &'static str,
     /// Packets in the bag.
     packets: u64,
@@ -53,7 +52,7 @@ const CASES: [Case; 3] = [
         angles: "PandarXT32.csv",
         bag: "1673400677802009732/1673400677802009732_0.db3",
         cloud: "1673400678101968885.pcd",
-        model: hesai::Model::Xt32,
+        model: Model::Xt32,
         returns: "last + strongest",
         packets: 2_000,
     },
@@ -62,7 +61,7 @@ const CASES: [Case; 3] = [
         angles: "Pandar64.csv",
         bag: "1673403880599376836/1673403880599376836_0.db3",
         cloud: "1673403880898440686.pcd",
-        model: hesai::Model::Pandar64,
+        model: Model::Pandar64,
         returns: "last + strongest",
         packets: 2_400,
     },
@@ -71,7 +70,7 @@ const CASES: [Case; 3] = [
         angles: "PandarQT64.csv",
         bag: "1673401195788312575/1673401195788312575_0.db3",
         cloud: "1673401196087570870.pcd",
-        model: hesai::Model::Qt64,
+        model: Model::Qt64,
         returns: "first + last",
         packets: 1_200,
     },
@@ -79,13 +78,11 @@ const CASES: [Case; 3] = [
 
 fn scans(case: &Case, folder: &Path) -> Vec<LidarScan> {
     let text = std::fs::read_to_string(folder.join("calibration").join(case.angles)).unwrap();
-    let mut decoder = Decoder::new(Settings {
-        model: None,
-        scans: ScanSettings {
-            angles: Some(BeamAngles::parse_csv(&text).unwrap()),
-            ..ScanSettings::default()
-        },
-    });
+    let settings = ScanSettings {
+        angles: Some(BeamAngles::parse_csv(&text).unwrap()),
+        ..ScanSettings::default()
+    };
+    let mut decoder = Decoder::new(DecoderConfig::new(None, &settings));
     let mut bag = Rosbag2Source::open(&folder.join(case.folder).join(case.bag)).unwrap();
     let mut scans = Vec::new();
     while let Some(message) = bag.next_scan().unwrap() {
@@ -101,10 +98,7 @@ fn scans(case: &Case, folder: &Path) -> Vec<LidarScan> {
         (0, 0, 0)
     );
     let found = decoder.found().unwrap();
-    assert_eq!(
-        (found.model, found.returns),
-        (Model::Hesai(case.model), case.returns)
-    );
+    assert_eq!((found.model, found.returns), (case.model, case.returns));
     assert!((595..=605).contains(&found.rpm.unwrap()));
     scans
 }

@@ -4,9 +4,9 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
 use super::*;
+use crate::lidar_vendors::velodyne::settings::{Destination, FieldOfView, PhaseLock, Switch};
+use crate::lidar_vendors::velodyne::wire::{PpsStatus, Returns};
 use crate::transport::http::HttpListener;
-use crate::velodyne::settings::{Destination, FieldOfView, PhaseLock, Switch};
-use crate::velodyne::wire::{PpsStatus, Returns};
 
 /// A sensor's web server on a port of its own.
 struct Server {

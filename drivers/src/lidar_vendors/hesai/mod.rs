@@ -29,3 +29,4 @@ pub mod wire;
 pub use decode::{DecodeError, Decoder, DecoderConfig, device_ns, is_beside, position, recognise};
 pub use device::{HesaiConfig, PAGE, open};
 pub use model::{FACTORY_PORTS, Model};
+pub use wire::blank_packets;

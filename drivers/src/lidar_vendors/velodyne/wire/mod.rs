@@ -3,7 +3,7 @@
 use crate::WireError;
 
 pub use super::model::{BLOCKS, CHANNELS, returns_of_code};
-use super::model::{Product, code_of_returns};
+use super::model::{Model, Product, code_of_returns};
 pub use crate::lidar::{Returns, TURN_CENTIDEG};
 
 /// Payload length of a data packet (UDP port 2368 by default).
@@ -114,6 +114,20 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
     pub fn bytes(&self) -> &[u8] {
         self.0.as_ref()
     }
+}
+
+/// A data packet without a return, of each model in each return mode.
+pub fn blank_packets() -> Vec<(Model, Vec<u8>)> {
+    let mut all = Vec::new();
+    for model in Model::ALL {
+        for mode in Returns::ALL {
+            let bytes = vec![0; DATA_PACKET_LEN];
+            if let Ok(packet) = DataPacket::init(bytes, model.product(), mode) {
+                all.push((model, packet.into_inner()));
+            }
+        }
+    }
+    all
 }
 
 impl<T: AsRef<[u8]> + AsMut<[u8]>> DataPacket<T> {
