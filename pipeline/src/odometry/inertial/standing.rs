@@ -26,11 +26,11 @@ const SWAY_M: [f64; 3] = [0.0045, 0.0045, 0.001];
 /// Of the velocity of a carrier that was taken for standing and was not, m/s.
 const UNFELT_VELOCITY_M_S: f64 = 0.3;
 
-/// Mean angular velocity and specific force of a carrier that stands.
+/// Mean angular velocity of a carrier that stands, and specific force in the world: in its own axes it would change with each lean of who sways.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Standing {
     pub angular_velocity: Vector3<f64>,
-    pub specific_force: Vector3<f64>,
+    pub force_in_world: Vector3<f64>,
     /// Integral of the measured angular velocity since the start, and over how long it was measured: not over pauses of the IMU.
     pub turned_rad: Vector3<f64>,
     pub secs: f64,
@@ -38,9 +38,9 @@ pub(super) struct Standing {
 
 impl Standing {
     /// Whether means over samples are still the same.
-    fn goes_on(&self, (angular_velocity, specific_force): (Vector3<f64>, Vector3<f64>)) -> bool {
+    fn goes_on(&self, (angular_velocity, force_in_world): (Vector3<f64>, Vector3<f64>)) -> bool {
         (angular_velocity - self.angular_velocity).norm() < STANDING_RATE_RAD_S
-            && (specific_force - self.specific_force).norm() < STANDING_FORCE_M_S2
+            && (force_in_world - self.force_in_world).norm() < STANDING_FORCE_M_S2
     }
 
     /// Takes in the mean angular velocity over a span. Gives what, measured in each span with the standard deviation below, adds up to the plain mean
@@ -84,12 +84,13 @@ impl InertialFilter {
         let readings = || samples.iter().map(Reading::from);
         let turn = readings().map(|r| r.angular_velocity).sum::<Vector3<f64>>() / n;
         let force = readings().map(|r| r.specific_force).sum::<Vector3<f64>>() / n;
+        let force = self.state.world_from_rig.rotation * force;
         if !standing.goes_on((turn, force)) {
             self.standing = None;
             return;
         }
         if (turn - self.state.gyro_bias_rad_s).norm() > QUIET_RATE_RAD_S
-            || (force - standing.specific_force).norm() > QUIET_FORCE_M_S2
+            || (force - standing.force_in_world).norm() > QUIET_FORCE_M_S2
         {
             return;
         }

@@ -97,7 +97,7 @@ impl InertialFilter {
             reported: Matrix18::from_diagonal(&variance),
             standing: stands.then_some(Standing {
                 angular_velocity: rate,
-                specific_force: force,
+                force_in_world: heading * rotation * force,
                 turned_rad: Vector3::zeros(),
                 secs: 0.0,
             }),
