@@ -5,8 +5,8 @@ use lsfb_solver::{Block, BlockId, Kernel, Problem, VectorPrior};
 use nalgebra::SVector;
 
 use crate::Error;
-use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::{BiasWalk, ImuPreintegration};
+use lsfb_perception::imu::{ImuBias, NavState};
 
 /// By how much an IMU's noise is usually taken larger than the rig file says: densities leave out scale errors and vibration.
 pub(crate) const USUAL_NOISE_FACTOR: f64 = 2.0;

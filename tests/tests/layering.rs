@@ -52,7 +52,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     (
         "lsfb-eval",
-        &["types", "geometry", "solver", "recording", "report"],
+        &[
+            "types",
+            "geometry",
+            "solver",
+            "recording",
+            "perception",
+            "report",
+        ],
     ),
     ("lsfb-view", &["types", "geometry", "recording"]),
     ("lsfb-operator", &["types", "geometry", "recording", "web"]),

@@ -11,8 +11,8 @@ use nalgebra::SMatrix;
 
 use super::sensor_axes::{Measured, as_it_is, fit, usually_left, wrong_axis};
 use super::walk::Walk;
-use crate::preintegration::standard_gravity_m_s2;
 use crate::{Error, Refusal};
+use lsfb_perception::imu::standard_gravity_m_s2;
 
 /// From the middle of three places to the others, seconds: where the second difference of positions tells most.
 const NEAREST_SECS: f64 = 0.2;

@@ -16,7 +16,7 @@ use super::GroundTruthConfig;
 use super::dead_reckoning::DeadReckoning;
 use super::inertial::{ANY_ACCELERATION_M_S2, ANY_TURN_RAD_S, any_motion};
 use super::walk::{FrameState, LocalizedPose, Walk};
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
 /// Localized instants after one that it is compared with, at most.
 const PARTNERS: usize = 12;

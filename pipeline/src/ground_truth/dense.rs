@@ -5,8 +5,8 @@ use lsfb_types::Timestamp;
 
 use super::optimization::Optimized;
 use super::walk::{FrameState, Walk};
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
-use crate::{Error, Refusal};
+use crate::Error;
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu};
 
 /// Motion of the device at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,14 +46,14 @@ pub(super) fn dense_states(
             from,
             state: &states[k],
         };
-        let Some(led) = way.at(to)? else {
+        let Some(led) = way.at(to) else {
             continue;
         };
         let next = &states[k + 1].nav;
         let missed = (led.world_from_rig.inverse() * next.world_from_rig).log();
         let missed_m_s = next.velocity_m_s - led.velocity_m_s;
         for sample in &walk.imu[begin..end] {
-            let Some(led) = way.at(sample.time)? else {
+            let Some(led) = way.at(sample.time) else {
                 continue;
             };
             let share = sample.time.secs_since(from) / to.secs_since(from);
@@ -132,14 +132,10 @@ struct Way<'a> {
 
 impl Way<'_> {
     /// `None` where samples are missing.
-    fn at(&self, time: Timestamp) -> Result<Option<NavState>, Error> {
+    fn at(&self, time: Timestamp) -> Option<NavState> {
         let FrameState { nav, bias } = self.state;
         let (imu, noise) = (&self.walk.imu, &self.walk.noise);
-        let sum = match PreintegratedImu::integrate(imu, self.from, time, *bias, noise) {
-            Ok(sum) => sum,
-            Err(Error::Refused(Refusal::ImuGap { .. })) => return Ok(None),
-            Err(other) => return Err(other),
-        };
+        let sum = PreintegratedImu::integrate(imu, self.from, time, *bias, noise).ok()?;
         let errors = &self.solved.imu_errors;
         let change = sum.corrected_by(bias, errors);
         let (dt, rotation) = (sum.duration_secs, nav.world_from_rig.rotation);
@@ -148,12 +144,12 @@ impl Way<'_> {
         let enlarged = (1.0 - errors.world_scale).recip();
         let gained = (gravity * dt + rotation * change.velocity_m_s) * enlarged;
         let moved = (gravity * (0.5 * dt * dt) + rotation * change.position_m) * enlarged;
-        Ok(Some(NavState {
+        Some(NavState {
             world_from_rig: Se3::new(
                 rotation * change.rotation,
                 nav.world_from_rig.translation + nav.velocity_m_s * dt + moved,
             ),
             velocity_m_s: nav.velocity_m_s + gained,
-        }))
+        })
     }
 }

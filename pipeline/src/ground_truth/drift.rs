@@ -6,7 +6,7 @@ use super::GroundTruthConfig;
 use super::dead_reckoning::DeadReckoning;
 use super::inertial::{ANY_ACCELERATION_M_S2, ANY_TURN_RAD_S};
 use super::walk::{Frame, Walk};
-use crate::preintegration::standard_gravity_m_s2;
+use lsfb_perception::imu::standard_gravity_m_s2;
 
 /// Accepted poses up to this long before the last one say how well velocity and biases are known there, seconds.
 const MEMORY_SECS: f64 = 10.0;

@@ -6,8 +6,8 @@ use lsfb_geometry::{Se3, Vector2, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::walk::{FixedObservation, FrameState, LocalObservation, LocalPoint, Walk};
-use crate::preintegration::standard_gravity_m_s2;
 use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
+use lsfb_perception::imu::standard_gravity_m_s2;
 
 /// What was found of a walk, and what follows from it.
 #[derive(Clone)]

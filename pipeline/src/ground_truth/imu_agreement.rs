@@ -12,7 +12,7 @@ use crate::residuals::ImuPreintegration;
 /// noise is right. Zero without samples.
 pub(super) fn left_sigmas(walk: &Walk, solved: &Optimized) -> Result<f64, Error> {
     let states = &solved.estimate.states;
-    let intervals = walk.preintegrate(0..states.len(), |k| states[k].bias)?;
+    let intervals = walk.preintegrate(0..states.len(), |k| states[k].bias);
     let (mut squares, mut count) = (0.0, 0);
     for (pair, interval) in states.windows(2).zip(intervals) {
         let Some(samples) = interval.and_then(ImuPreintegration::new) else {

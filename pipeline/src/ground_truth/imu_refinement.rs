@@ -11,7 +11,7 @@ use super::imu_wander::{BiasChange, BiasWander, PULLED_SIGMAS};
 use super::optimization::Optimized;
 use super::walk::Walk;
 use crate::Error;
-use crate::preintegration::{ImuErrors, standard_gravity_m_s2};
+use lsfb_perception::imu::{ImuErrors, standard_gravity_m_s2};
 
 /// By how much gravity may be off, percent: the Earth's own differs by up to half of it, and no standard deviation has the scale in it.
 const LARGEST_GRAVITY_PERCENT: f64 = 1.0;

@@ -144,7 +144,7 @@ pub(super) fn swing(
 /// By how much the IMU pulls each pose, and so, as a solve rests where pulls are equal, the images against it.
 fn pulls(walk: &Walk, solved: &Optimized) -> Result<Vec<Vector6<f64>>, Error> {
     let states = &solved.estimate.states;
-    let intervals = walk.preintegrate(0..states.len(), |k| states[k].bias)?;
+    let intervals = walk.preintegrate(0..states.len(), |k| states[k].bias);
     let mut pulls = vec![Vector6::zeros(); states.len()];
     for (k, interval) in intervals.into_iter().enumerate() {
         let Some(samples) = interval.and_then(ImuPreintegration::new) else {

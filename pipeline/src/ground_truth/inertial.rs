@@ -10,8 +10,8 @@ use nalgebra::{Vector1, Vector6};
 
 use crate::Error;
 use crate::inertial_blocks::{StateBlocks, about, add_bias_walks, add_samples};
-use crate::preintegration::{ImuErrors, Matrix9, PreintegratedImu, standard_gravity_m_s2};
 use crate::residuals::ImuPreintegration;
+use lsfb_perception::imu::{ImuErrors, Matrix9, PreintegratedImu, standard_gravity_m_s2};
 
 /// Blocks of what is the same all along: gravity in the world, and errors of the IMU.
 #[derive(Clone, Copy)]
@@ -106,7 +106,7 @@ pub(super) fn add_inertial_residuals(
     };
     let now: Vec<FrameState> = states.iter().map(|s| s.read(problem)).collect();
     let frames = first_frame..first_frame + states.len();
-    let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
+    let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias);
     let has_map = walk.frames.iter().any(|frame| !frame.fixed.is_empty());
     let shared = InertialBlocks::add(problem, config, has_map)?;
     first.hold_biases(

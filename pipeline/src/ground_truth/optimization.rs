@@ -12,9 +12,9 @@ use super::inertial::{InertialBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::inertial_blocks::StateBlocks;
-use crate::preintegration::{ImuErrors, standard_gravity_m_s2};
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;
+use lsfb_perception::imu::{ImuErrors, standard_gravity_m_s2};
 
 /// What was found, and local points after a solve.
 pub(super) struct Optimized {

@@ -11,7 +11,7 @@ use crate::Error;
 use crate::features::{Feature, FeatureDetector};
 use crate::frames::{ImageClock, ReadFrames, ReadImu, read_frames, read_imu_if_any};
 use crate::kept_stages::KeptStages;
-use crate::preintegration::NO_WEIGHT;
+use lsfb_perception::imu::NO_WEIGHT;
 
 /// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
 pub struct RecordedWalk {

@@ -644,7 +644,7 @@ fn report(
         .get(states.len() / 2)
         .map(|s| s.bias)
         .unwrap_or_default();
-    let gaps = walk.preintegrate(0..walk.frames.len(), |_| bias)?;
+    let gaps = walk.preintegrate(0..walk.frames.len(), |_| bias);
     Ok(GroundTruthReport {
         frames: 0,
         features: 0,

@@ -12,8 +12,8 @@ use super::walk::{FrameState, LocalizedPose, Walk};
 use super::{GroundTruthConfig, LocalizedInstant};
 use crate::Error;
 use crate::inertial_blocks::StateBlocks;
-use crate::preintegration::{ImuBias, NavState, standard_gravity_m_s2};
 use crate::solve::solve_until_converged;
+use lsfb_perception::imu::{ImuBias, NavState, standard_gravity_m_s2};
 
 /// Explanations of a walk that are tried, the one of the largest consistent set first.
 const EXPLANATIONS: usize = 4;

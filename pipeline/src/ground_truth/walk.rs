@@ -6,9 +6,8 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 pub(super) use crate::inertial_blocks::FrameState;
-use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::residuals::MovingCamera;
-use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, PreintegratedImu};
 
 /// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
 #[derive(Clone)]
@@ -118,7 +117,7 @@ impl Walk {
         &self,
         frames: Range<usize>,
         bias_of: impl Fn(usize) -> ImuBias,
-    ) -> Result<Vec<Option<PreintegratedImu>>, Error> {
+    ) -> Vec<Option<PreintegratedImu>> {
         let mut intervals = Vec::with_capacity(frames.len().saturating_sub(1));
         for (k, pair) in frames.clone().zip(self.frames[frames].windows(2)) {
             let sum = PreintegratedImu::integrate(
@@ -128,16 +127,12 @@ impl Walk {
                 bias_of(k),
                 &self.noise,
             );
-            intervals.push(match sum {
-                Ok(mut sum) => {
-                    let factor = self.noise_factors.get(&k).copied().unwrap_or(1.0);
-                    sum.covariance *= factor * factor;
-                    Some(sum)
-                }
-                Err(Error::Refused(Refusal::ImuGap { .. })) => None,
-                Err(other) => return Err(other),
-            });
+            intervals.push(sum.ok().map(|mut sum| {
+                let factor = self.noise_factors.get(&k).copied().unwrap_or(1.0);
+                sum.covariance *= factor * factor;
+                sum
+            }));
         }
-        Ok(intervals)
+        intervals
     }
 }

@@ -5,7 +5,7 @@ use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp, median};
 
 use super::prior::{ExpectedPose, PoseKnowledge, Up};
 use super::sequence::localized_shares;
-use crate::preintegration::{ImuBias, NO_WEIGHT, PreintegratedImu};
+use lsfb_perception::imu::{ImuBias, NO_WEIGHT, PreintegratedImu};
 
 /// The accelerometer is averaged over this much time, half before and half after: who walks neither speeds up nor slows down for long.
 const UP_SECS: f64 = 2.0;

@@ -11,8 +11,8 @@ use super::{MappingReport, ScanOffsets};
 use crate::features::{Features, Keypoint};
 use crate::hd_map::{KeyframeImage, MapPoint, PointObservation, SiteFrame};
 use crate::kept_stages::{ByteReader, Keep, keep_fields, put_told, take_told};
-use crate::preintegration::ImuBias;
 use crate::surface::Agreement;
+use lsfb_perception::imu::ImuBias;
 
 keep_fields! {
     Keypoint { pixel, scale_px, angle_rad, response }

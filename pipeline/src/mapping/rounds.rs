@@ -317,7 +317,7 @@ impl<'a> Alternation<'a> {
             let placed = marks.place(rig, &before, &config.control);
             marks.terms(&placed, Some(hold))
         });
-        let imu = self.imu_term(rounds)?;
+        let imu = self.imu_term(rounds);
         let weights = matches.weights;
         let terms = self.terms(&matches.scans, weights, control.as_ref(), imu.as_ref());
         let Adjusted {
@@ -413,7 +413,7 @@ impl<'a> Alternation<'a> {
         let config = self.config;
         let placed = marks.place(self.rig, &rounds.poses, &config.control);
         let placing = marks.terms(&placed, None);
-        let imu = self.imu_term(rounds)?;
+        let imu = self.imu_term(rounds);
         let terms = self.terms(
             &matches.scans,
             matches.weights,
@@ -453,7 +453,7 @@ impl<'a> Alternation<'a> {
             points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
         }
         let (control, site) = self.lay_in_site(rounds, step, keyframes);
-        let imu = self.imu_term(rounds)?;
+        let imu = self.imu_term(rounds);
         let told = &mut rounds.told;
         told.imu = imu.as_ref().map(|term| term.report(&keyframes.poses()));
         let terms = self.terms(&scans, weights, control.as_ref(), imu.as_ref());
@@ -550,9 +550,9 @@ impl<'a> Alternation<'a> {
     }
 
     /// What the IMU says between keyframes, summed up at the biases that the last round found.
-    fn imu_term(&self, rounds: &Rounds) -> Result<Option<InertialTerm<'_>>, Error> {
+    fn imu_term(&self, rounds: &Rounds) -> Option<InertialTerm<'_>> {
         let both = self.imu.as_ref().zip(rounds.inertial.as_ref());
-        both.map(|(imu, estimate)| imu.term(estimate)).transpose()
+        both.map(|(imu, estimate)| imu.term(estimate))
     }
 
     fn terms<'t>(

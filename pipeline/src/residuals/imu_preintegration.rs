@@ -2,7 +2,7 @@ use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{SMatrix, SVector, Vector1, Vector6};
 
-use crate::preintegration::{
+use lsfb_perception::imu::{
     BiasJacobians, CorrectedChange, ImuBias, ImuErrors, Matrix9, NavState, PreintegratedImu,
 };
 

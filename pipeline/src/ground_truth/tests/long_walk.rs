@@ -2,7 +2,7 @@
 
 use super::super::dead_reckoning::DeadReckoning;
 use super::*;
-use crate::preintegration::{ImuBias, NavState};
+use lsfb_perception::imu::{ImuBias, NavState};
 
 /// Recognised for so many frames, then not for so many: longer than localized poses vote for one another.
 const SEEN: usize = 15;

@@ -37,8 +37,8 @@ use super::walk::{FixedObservation, Frame, FrameState, LocalizedPose, Walk};
 use super::*;
 use crate::Refusal;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
-use crate::preintegration::standard_gravity_m_s2;
 use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
+use lsfb_perception::imu::standard_gravity_m_s2;
 
 const FRAMES: usize = 100;
 const FRAME_SECS: f64 = 0.1;

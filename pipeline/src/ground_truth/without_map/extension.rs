@@ -14,8 +14,8 @@ use crate::ground_truth::optimization::{Anchor, Optimized, choose_observations, 
 use crate::ground_truth::report::{GroundTruthWarning, local_errors};
 use crate::ground_truth::settling::{farthest, is_few, not_at_rest};
 use crate::ground_truth::walk::{FrameState, Walk};
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
 /// Frames are added for so long at a time, seconds: the IMU alone leads a few centimetres astray.
 const STEP_SECS: f64 = 0.5;
@@ -123,7 +123,7 @@ impl<'a> Extension<'a> {
         let mut settled = self.states.len();
         while self.end() < self.walk.frames.len() {
             let (last, done) = (self.end(), self.states.len());
-            self.add_after()?;
+            self.add_after();
             let oldest = self.frame_before(last, MEMORY_SECS);
             self.settle(oldest..self.end(), &on_the_way, &|_| known(done))?;
             if self.states.len() as f64 >= GROWTH * settled as f64 {
@@ -133,7 +133,7 @@ impl<'a> Extension<'a> {
         }
         while self.first > 0 {
             let done = self.states.len();
-            self.add_before()?;
+            self.add_before();
             self.settle_all(&on_the_way, &|_| known(done))?;
         }
         Ok(())
@@ -222,26 +222,26 @@ impl<'a> Extension<'a> {
     }
 
     /// States of the next frames by the IMU.
-    fn add_after(&mut self) -> Result<(), Error> {
+    fn add_after(&mut self) {
         let begun = self.walk.frames[self.end() - 1].time;
         loop {
             let end = self.end();
             let (before, frame) = (&self.walk.frames[end - 1], &self.walk.frames[end]);
             let state = self.states[end - 1 - self.first];
-            let change = self.between(before.time, frame.time, &state)?;
+            let change = self.between(before.time, frame.time, &state);
             self.states.push(FrameState {
                 nav: change.predict(&state.nav, &state.bias, &standard_gravity_m_s2()),
                 bias: state.bias,
             });
             let next = self.walk.frames.get(end + 1);
             if next.is_none_or(|f| f.time.secs_since(begun) > STEP_SECS) {
-                return Ok(());
+                return;
             }
         }
     }
 
     /// States of the frames before by the IMU.
-    fn add_before(&mut self) -> Result<(), Error> {
+    fn add_before(&mut self) {
         let begun = self.walk.frames[self.first].time;
         let mut added = Vec::new();
         let mut state = self.states[0];
@@ -250,7 +250,7 @@ impl<'a> Extension<'a> {
             if !added.is_empty() && begun.secs_since(time) > STEP_SECS {
                 break;
             }
-            let change = self.between(time, self.walk.frames[self.first].time, &state)?;
+            let change = self.between(time, self.walk.frames[self.first].time, &state);
             state = FrameState {
                 nav: led_back(&change, &state.nav, &state.bias),
                 bias: state.bias,
@@ -260,7 +260,6 @@ impl<'a> Extension<'a> {
         }
         added.reverse();
         self.states.splice(0..0, added);
-        Ok(())
     }
 
     fn between(
@@ -268,13 +267,9 @@ impl<'a> Extension<'a> {
         from: lsfb_types::Timestamp,
         to: lsfb_types::Timestamp,
         state: &FrameState,
-    ) -> Result<PreintegratedImu, Error> {
-        match PreintegratedImu::integrate(&self.walk.imu, from, to, state.bias, &self.walk.noise) {
-            Err(Error::Refused(Refusal::ImuGap { .. })) => {
-                Ok(any_motion(state, to.secs_since(from)))
-            }
-            other => other,
-        }
+    ) -> PreintegratedImu {
+        PreintegratedImu::integrate(&self.walk.imu, from, to, state.bias, &self.walk.noise)
+            .unwrap_or_else(|_gap| any_motion(state, to.secs_since(from)))
     }
 
     fn settle_all(

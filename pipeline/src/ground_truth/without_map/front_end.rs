@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{RevisitConfig, Sight, TrackedFrame, TrackedWalk, WalkView};
 use crate::Error;
 use crate::features::SiftDetector;
-use crate::preintegration::{ImuBias, PreintegratedImu};
+use lsfb_perception::imu::{ImuBias, PreintegratedImu};
 
 /// Cameras number their tracks apart from each other.
 const TRACKS_PER_CAMERA: u32 = 1 << 24;

@@ -11,8 +11,7 @@ use lsfb_solver::gauss_newton::{NormalEquations, minimise_damped};
 
 use super::sights::Tracks;
 use crate::ground_truth::walk::Walk;
-use crate::preintegration::{ImuBias, PreintegratedImu};
-use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, PreintegratedImu};
 
 /// Apart at least and in the aim, seconds: far enough to show a rotation, near enough to share tracks.
 const APART_SECS: f64 = 0.3;
@@ -54,10 +53,10 @@ pub(super) fn estimate(
     walk: &Walk,
     tracks: &Tracks,
     window: &Range<usize>,
-) -> Result<Option<Vector3<f64>>, Error> {
-    let pairs = pairs(walk, tracks, window)?;
+) -> Option<Vector3<f64>> {
+    let pairs = pairs(walk, tracks, window);
     if pairs.len() < 3 {
-        return Ok(None);
+        return None;
     }
     let cost = |bias: &Vector3<f64>| pairs.iter().map(|p| p.error(bias).powi(2)).sum::<f64>();
     let terms = |bias: &Vector3<f64>| {
@@ -73,10 +72,10 @@ pub(super) fn estimate(
         equations
     };
     let (bias, _) = minimise_damped(Vector3::zeros(), MAX_TRIALS, terms, cost);
-    Ok(Some(bias))
+    Some(bias)
 }
 
-fn pairs(walk: &Walk, tracks: &Tracks, window: &Range<usize>) -> Result<Vec<Pair>, Error> {
+fn pairs(walk: &Walk, tracks: &Tracks, window: &Range<usize>) -> Vec<Pair> {
     let mut pairs = Vec::new();
     let mut first = window.start;
     while first < window.end {
@@ -90,25 +89,22 @@ fn pairs(walk: &Walk, tracks: &Tracks, window: &Range<usize>) -> Result<Vec<Pair
         };
         let until = walk.frames[second].time;
         let none = ImuBias::default();
-        match PreintegratedImu::integrate(&walk.imu, time, until, none, &walk.noise) {
-            Ok(between) => {
-                for (k, camera) in walk.cameras.iter().enumerate() {
-                    let rays = tracks.shared(k, first, second).into_iter();
-                    let ray = |pixel| camera.camera().unproject(&pixel);
-                    let rays: Vec<_> = rays.filter_map(|[a, b]| Some([ray(a)?, ray(b)?])).collect();
-                    if rays.len() >= FEWEST_SHARED {
-                        pairs.push(Pair {
-                            rig_from_camera: camera.camera_from_rig().inverse().rotation_matrix(),
-                            between: between.clone(),
-                            rays,
-                        });
-                    }
+        if let Ok(between) = PreintegratedImu::integrate(&walk.imu, time, until, none, &walk.noise)
+        {
+            for (k, camera) in walk.cameras.iter().enumerate() {
+                let rays = tracks.shared(k, first, second).into_iter();
+                let ray = |pixel| camera.camera().unproject(&pixel);
+                let rays: Vec<_> = rays.filter_map(|[a, b]| Some([ray(a)?, ray(b)?])).collect();
+                if rays.len() >= FEWEST_SHARED {
+                    pairs.push(Pair {
+                        rig_from_camera: camera.camera_from_rig().inverse().rotation_matrix(),
+                        between: between.clone(),
+                        rays,
+                    });
                 }
             }
-            Err(Error::Refused(Refusal::ImuGap { .. })) => {}
-            Err(other) => return Err(other),
         }
         first += (second - first).div_ceil(2);
     }
-    Ok(pairs)
+    pairs
 }

@@ -32,13 +32,13 @@ use super::report::{
 };
 use super::settling::ROUNDS;
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
-use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
 use crate::{Error, Refusal};
 use blind::blind_stretches;
 pub use config::MotionConfig;
 use extension::{Extension, Settled};
 pub use front_end::FrontEnd;
+use lsfb_perception::imu::{ImuBias, NavState};
 pub use recorded::{RecordedMotion, motion_of_recording, motion_of_recording_in_stages};
 pub use report::MotionReport;
 use revisits::{Before, ClosedLoops};
@@ -322,7 +322,7 @@ fn begin<'a>(
     }
     let mut first = 0;
     while let Some(window) = moving::next_window(walk, first) {
-        if let Some(states) = moving::states(walk, tracks, window.clone(), config)? {
+        if let Some(states) = moving::states(walk, tracks, window.clone(), config) {
             let begun = Extension::of(walk, tracks, window.start, states);
             if let Some(begun) = begun.if_sound(config, progress)? {
                 return Ok((begun, Beginning::Moving));

@@ -15,8 +15,7 @@ use super::gyro_bias;
 use super::sights::Tracks;
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
-use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu};
 
 /// How long a beginning in motion is looked at, seconds, and the least of it where the walk is shorter.
 const WINDOW_SECS: f64 = 2.0;
@@ -59,10 +58,8 @@ pub(super) fn states(
     tracks: &Tracks,
     window: Range<usize>,
     config: &GroundTruthConfig,
-) -> Result<Option<Vec<FrameState>>, Error> {
-    let Some(gyro_rad_s) = gyro_bias::estimate(walk, tracks, &window)? else {
-        return Ok(None);
-    };
+) -> Option<Vec<FrameState>> {
+    let gyro_rad_s = gyro_bias::estimate(walk, tracks, &window)?;
     let bias = ImuBias {
         gyro_rad_s,
         accel_m_s2: Vector3::zeros(),
@@ -70,14 +67,11 @@ pub(super) fn states(
     let start = walk.frames[window.start].time;
     let mut changes = vec![PreintegratedImu::nothing(bias)];
     for frame in &walk.frames[window.start + 1..window.end] {
-        match PreintegratedImu::integrate(&walk.imu, start, frame.time, bias, &walk.noise) {
-            Ok(change) => changes.push(change),
-            Err(Error::Refused(Refusal::ImuGap { .. })) => return Ok(None),
-            Err(other) => return Err(other),
-        }
+        let change = PreintegratedImu::integrate(&walk.imu, start, frame.time, bias, &walk.noise);
+        changes.push(change.ok()?);
     }
     let tracks = tracks.within(&window);
-    Ok(solve(walk, &tracks, &changes, config).map(|found| found.states(&changes)))
+    solve(walk, &tracks, &changes, config).map(|found| found.states(&changes))
 }
 
 /// What was found.

@@ -11,8 +11,8 @@ use crate::ground_truth::imu_refinement::ImuRefinement;
 use crate::ground_truth::report::{
     CameraRefinement, GroundTruthWarning, LeftOutReason, ReprojectionErrors, Span,
 };
-use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::worst_sigma::worst_sigmas;
+use lsfb_perception::imu::{ImuBias, PreintegratedImu};
 
 /// What was read, and what could not be.
 #[derive(Default)]

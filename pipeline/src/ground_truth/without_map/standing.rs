@@ -6,7 +6,7 @@ use lsfb_types::STANDARD_GRAVITY_M_S2;
 
 use super::sights::Tracks;
 use crate::ground_truth::walk::{FrameState, Walk};
-use crate::preintegration::{ImuBias, NavState};
+use lsfb_perception::imu::{ImuBias, NavState};
 
 /// Shortest rest that counts, seconds.
 const SHORTEST_SECS: f64 = 0.4;

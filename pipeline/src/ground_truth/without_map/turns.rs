@@ -13,8 +13,8 @@ use super::TrackedWalk;
 use crate::ground_truth::sensor_axes::{
     Measured, Unknowns, as_it_is, fit, usually_left, wrong_axis,
 };
-use crate::preintegration::{ImuBias, PreintegratedImu};
 use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, PreintegratedImu};
 
 /// Pairs of images that are compared at most, and at least.
 const MOST_PAIRS: usize = 150;

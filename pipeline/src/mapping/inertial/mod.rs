@@ -18,11 +18,9 @@ use crate::inertial_blocks::{
     inflated,
 };
 use crate::odometry::{ImuUnits, OdometryReport, imu_pauses, mend_units};
-use crate::preintegration::{
-    ImuBias, ImuErrors, NavState, PreintegratedImu, standard_gravity_m_s2,
-};
 use crate::residuals::ImuPreintegration;
 use crate::{Error, Refusal};
+use lsfb_perception::imu::{ImuBias, ImuErrors, NavState, PreintegratedImu, standard_gravity_m_s2};
 pub use report::InertialReport;
 
 /// What is summed up over longer says less than anything else, and is off by what its noise leaves out, seconds: somebody who stands has no keyframes.
@@ -139,7 +137,7 @@ impl RecordedImu {
             },
             recorded: self,
         };
-        imu.start.gravity_m_s2 = imu.gravity_along(keyframes)?;
+        imu.start.gravity_m_s2 = imu.gravity_along(keyframes);
         Ok(imu)
     }
 
@@ -203,34 +201,29 @@ pub(super) struct KeyframeImu<'a> {
 
 impl<'a> KeyframeImu<'a> {
     /// The term, with the samples summed up at the biases of an estimate.
-    pub fn term(&'a self, estimate: &InertialEstimate) -> Result<InertialTerm<'a>, Error> {
+    pub fn term(&'a self, estimate: &InertialEstimate) -> InertialTerm<'a> {
         let intervals = estimate.biases.iter().take(self.whole.len()).enumerate();
-        let intervals = intervals.map(|(k, bias)| {
-            let sum = self.sum_up(k, *bias)?;
-            Ok(sum.and_then(ImuPreintegration::new))
-        });
-        Ok(InertialTerm {
+        let intervals =
+            intervals.map(|(k, bias)| self.sum_up(k, *bias).and_then(ImuPreintegration::new));
+        InertialTerm {
             imu: self,
-            intervals: intervals.collect::<Result<_, Error>>()?,
+            intervals: intervals.collect(),
             estimate: estimate.clone(),
-        })
+        }
     }
 
     /// From a keyframe to the next; `None` where samples are missing.
-    fn sum_up(&self, k: usize, bias: ImuBias) -> Result<Option<PreintegratedImu>, Error> {
+    fn sum_up(&self, k: usize, bias: ImuBias) -> Option<PreintegratedImu> {
         if !self.whole[k] {
-            return Ok(None);
+            return None;
         }
         let RecordedImu { samples, noise, .. } = self.recorded;
         let [from, to] = [self.times[k], self.times[k + 1]];
-        match PreintegratedImu::integrate(samples, from, to, bias, noise) {
-            Err(Error::Refused(Refusal::ImuGap { .. })) => Ok(None),
-            sum => sum.map(Some),
-        }
+        PreintegratedImu::integrate(samples, from, to, bias, noise).ok()
     }
 
     /// As strong as gravity is, where the samples have it on average along the keyframes: what they gained and what the velocities did not.
-    fn gravity_along(&self, keyframes: &[StampedPose]) -> Result<Vector3<f64>, Error> {
+    fn gravity_along(&self, keyframes: &[StampedPose]) -> Vector3<f64> {
         let InertialEstimate {
             velocities_m_s,
             biases,
@@ -238,13 +231,13 @@ impl<'a> KeyframeImu<'a> {
         } = &self.start;
         let mut fallen = Vector3::zeros();
         for k in 0..self.whole.len() {
-            if let Some(sum) = self.sum_up(k, biases[k])? {
+            if let Some(sum) = self.sum_up(k, biases[k]) {
                 let felt = keyframes[k].world_from_rig.rotation * sum.velocity_m_s;
                 fallen += velocities_m_s[k + 1] - velocities_m_s[k] - felt;
             }
         }
         let direction = fallen.try_normalize(f64::MIN_POSITIVE);
-        Ok(direction.map_or_else(standard_gravity_m_s2, |down| down * STANDARD_GRAVITY_M_S2))
+        direction.map_or_else(standard_gravity_m_s2, |down| down * STANDARD_GRAVITY_M_S2)
     }
 }
 

@@ -17,8 +17,8 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
 
 use super::uncertainty::once_seen;
-use crate::imu_reading::{Reading, reading_at};
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu};
+use lsfb_perception::imu::{Reading, reading_at};
 use standing::{STANDING_SPAN_S, Standing};
 pub(super) use start::KnownBias;
 

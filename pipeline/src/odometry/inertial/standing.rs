@@ -6,7 +6,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SMatrix;
 
 use super::{InertialFilter, Matrix18, VELOCITY};
-use crate::imu_reading::Reading;
+use lsfb_perception::imu::Reading;
 
 /// Means over this long tell whether it still stands, seconds.
 pub(super) const STANDING_SPAN_S: f64 = 0.1;

@@ -1,6 +1,7 @@
 //! How an IMU moves between two times, by its samples, and how errors of its state grow.
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, StampedPose, UnitQuaternion, Vector3, so3};
+use lsfb_perception::imu::{ImuBias, NO_WEIGHT, NavState, PreintegratedImu, Reading};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
 
@@ -90,13 +91,24 @@ impl ImuState {
         self.pose() * self.mount
     }
 
-    fn stepped(&self, turn_rad_s: &Vector3<f64>, force_m_s2: &Vector3<f64>, secs: f64) -> Self {
-        let middle = so3::retract(&self.rotation, &(turn_rad_s * (0.5 * secs)));
-        let acceleration = middle * force_m_s2 + self.gravity;
+    fn bias(&self) -> ImuBias {
+        ImuBias {
+            gyro_rad_s: self.gyro_bias,
+            accel_m_s2: self.accel_bias,
+        }
+    }
+
+    /// At the end of what samples say.
+    fn after(&self, change: &PreintegratedImu) -> Self {
+        let start = NavState {
+            world_from_rig: self.pose(),
+            velocity_m_s: self.velocity,
+        };
+        let end = change.predict(&start, &self.bias(), &self.gravity);
         Self {
-            rotation: so3::retract(&self.rotation, &(turn_rad_s * secs)),
-            place: self.place + self.velocity * secs + acceleration * (0.5 * secs * secs),
-            velocity: self.velocity + acceleration * secs,
+            rotation: end.world_from_rig.rotation,
+            place: end.world_from_rig.translation,
+            velocity: end.velocity_m_s,
             ..*self
         }
     }
@@ -184,20 +196,18 @@ impl Inertial {
         let mut moving = Matrix15::identity();
         let mut by_gravity = SMatrix::<f64, MOVING, 3>::zeros();
         let mut added = Matrix15::zeros();
-        for [a, b] in self.steps(from_secs, to_secs) {
-            let secs = b - a;
-            let (first, last) = (self.at(a), self.at(b));
-            let turn = (first.0 + last.0) * 0.5 - state.gyro_bias;
-            let force = (first.1 + last.1) * 0.5 - state.accel_bias;
-            let step = transition(&state, &turn, &force, secs);
+        for step in self.steps(from_secs, to_secs) {
+            let change = self.change(step, state.bias(), noise);
+            let secs = change.duration_secs;
+            let step = transition(&change, &state.rotation);
             moving = step * moving;
             by_gravity = step * by_gravity;
             for k in 0..3 {
                 by_gravity[(VELOCITY + k, k)] += secs;
                 by_gravity[(PLACE + k, k)] += 0.5 * secs * secs;
             }
-            added = step * added * step.transpose() + step_noise(noise, secs);
-            state = state.stepped(&turn, &force, secs);
+            added = step * added * step.transpose() + step_noise(&change, &state.rotation, noise);
+            state = state.after(&change);
         }
         let mut whole = Matrix25::identity();
         whole
@@ -216,14 +226,30 @@ impl Inertial {
         }
     }
 
-    /// The intervals between two times that samples cut.
+    /// What the samples say from one time to another.
+    fn change(&self, [a, b]: [f64; 2], bias: ImuBias, noise: &ImuNoiseModel) -> PreintegratedImu {
+        let [from, to] = [a, b].map(|secs| {
+            let (angular_velocity, specific_force) = self.at(secs);
+            Reading {
+                time: self.base.plus_secs(secs),
+                angular_velocity,
+                specific_force,
+            }
+        });
+        PreintegratedImu::between(&from, &to, bias, noise)
+    }
+
+    /// The intervals between two times that samples cut; stamps have nanoseconds.
     fn steps(&self, from_secs: f64, to_secs: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
         let first = self.secs.partition_point(|s| *s <= from_secs);
         let last = self.secs.partition_point(|s| *s < to_secs).max(first);
         let inner = self.secs[first..last].iter().copied();
         let ends = inner.clone().chain([to_secs]);
         let starts = std::iter::once(from_secs).chain(inner);
-        starts.zip(ends).map(|(a, b)| [a, b]).filter(|[a, b]| b > a)
+        starts
+            .zip(ends)
+            .map(|(a, b)| [a, b])
+            .filter(|[a, b]| b - a > 2e-9)
     }
 
     /// Poses at the samples between two states, the later one not included; the state's own time first.
@@ -235,53 +261,61 @@ impl Inertial {
                 time: self.base.plus_secs(a),
                 world_from_rig: state.pose(),
             });
-            let (first, last) = (self.at(a), self.at(b));
-            let turn = (first.0 + last.0) * 0.5 - state.gyro_bias;
-            let force = (first.1 + last.1) * 0.5 - state.accel_bias;
-            state = state.stepped(&turn, &force, b - a);
+            state = state.after(&self.change([a, b], state.bias(), &NO_WEIGHT));
         }
         poses
     }
 }
 
 /// Of one step, linear in the error.
-fn transition(
-    state: &ImuState,
-    turn_rad_s: &Vector3<f64>,
-    force_m_s2: &Vector3<f64>,
-    secs: f64,
-) -> Matrix15 {
-    let rotation = state.rotation.to_rotation_matrix().into_inner();
-    let identity = Matrix3::identity();
+fn transition(change: &PreintegratedImu, start: &UnitQuaternion<f64>) -> Matrix15 {
+    let rotation = start.to_rotation_matrix().into_inner();
+    let back = change.rotation.inverse().to_rotation_matrix().into_inner();
+    let by = &change.by_bias;
     let mut step = Matrix15::identity();
-    let mut put = |row: usize, column: usize, value: Matrix3<f64>| {
-        step.fixed_view_mut::<3, 3>(row, column).copy_from(&value);
-    };
-    let back = so3::exp(&(turn_rad_s * -secs)).to_rotation_matrix();
-    put(ROTATION, ROTATION, back.into_inner());
-    put(ROTATION, GYRO_BIAS, identity * -secs);
-    let by_turn = -(rotation * so3::hat(force_m_s2));
-    put(VELOCITY, ROTATION, by_turn * secs);
-    put(VELOCITY, ACCEL_BIAS, rotation * -secs);
-    put(PLACE, ROTATION, by_turn * (0.5 * secs * secs));
-    put(PLACE, VELOCITY, identity * secs);
-    put(PLACE, ACCEL_BIAS, rotation * (-0.5 * secs * secs));
+    for (row, column, block) in [
+        (ROTATION, ROTATION, back),
+        (ROTATION, GYRO_BIAS, by.rotation_by_gyro),
+        (
+            VELOCITY,
+            ROTATION,
+            -rotation * so3::hat(&change.velocity_m_s),
+        ),
+        (VELOCITY, GYRO_BIAS, rotation * by.velocity_by_gyro),
+        (VELOCITY, ACCEL_BIAS, rotation * by.velocity_by_accel),
+        (PLACE, ROTATION, -rotation * so3::hat(&change.position_m)),
+        (PLACE, VELOCITY, Matrix3::identity() * change.duration_secs),
+        (PLACE, GYRO_BIAS, rotation * by.position_by_gyro),
+        (PLACE, ACCEL_BIAS, rotation * by.position_by_accel),
+    ] {
+        step.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+    }
     step
 }
 
-/// White noise and random walks of one step.
-fn step_noise(noise: &ImuNoiseModel, secs: f64) -> Matrix15 {
-    let mut added = Matrix15::zeros();
-    let square = |density: f64| density * density * secs;
-    let force = square(noise.accel_noise_density);
+/// What white noise and random walks add in one step.
+fn step_noise(
+    change: &PreintegratedImu,
+    start: &UnitQuaternion<f64>,
+    noise: &ImuNoiseModel,
+) -> Matrix15 {
+    let rotation = start.to_rotation_matrix().into_inner();
+    // The change is ordered rotation, velocity, position, the last two in the frame of its start.
+    let mut by_change = SMatrix::<f64, MOVING, 9>::zeros();
+    for (row, column, block) in [
+        (ROTATION, 0, Matrix3::identity()),
+        (VELOCITY, 3, rotation),
+        (PLACE, 6, rotation),
+    ] {
+        by_change
+            .fixed_view_mut::<3, 3>(row, column)
+            .copy_from(&block);
+    }
+    let mut added = by_change * change.covariance * by_change.transpose();
     for k in 0..3 {
-        added[(ROTATION + k, ROTATION + k)] = square(noise.gyro_noise_density);
-        added[(VELOCITY + k, VELOCITY + k)] = force;
-        added[(PLACE + k, PLACE + k)] = force * secs * secs / 3.0;
-        added[(PLACE + k, VELOCITY + k)] = force * secs / 2.0;
-        added[(VELOCITY + k, PLACE + k)] = force * secs / 2.0;
-        added[(GYRO_BIAS + k, GYRO_BIAS + k)] = square(noise.gyro_bias_walk);
-        added[(ACCEL_BIAS + k, ACCEL_BIAS + k)] = square(noise.accel_bias_walk);
+        let walked = |density: f64| density * density * change.duration_secs;
+        added[(GYRO_BIAS + k, GYRO_BIAS + k)] += walked(noise.gyro_bias_walk);
+        added[(ACCEL_BIAS + k, ACCEL_BIAS + k)] += walked(noise.accel_bias_walk);
     }
     added
 }

@@ -25,8 +25,8 @@ use crate::features::{Features, SiftConfig};
 use crate::ground_truth::GroundTruthConfig;
 use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
 use crate::loops::{self, Keyframe, Measured};
-use crate::preintegration::NavState;
 use crate::vlad::Codebook;
+use lsfb_perception::imu::NavState;
 use placed_views::{PlacedViews, sight};
 use search::{Found, search};
 

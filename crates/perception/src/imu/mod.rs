@@ -11,8 +11,9 @@ use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped, Timestamp};
 use nalgebra::{SMatrix, Vector6};
 
-use crate::imu_reading::Reading;
-use crate::{Error, Refusal};
+mod reading;
+
+pub use reading::{Reading, reading_at};
 
 /// 9 × 9, ordered rotation, velocity, position.
 pub type Matrix9 = SMatrix<f64, 9, 9>;
@@ -234,19 +235,30 @@ impl Turning {
 }
 
 /// Stands for the noise of an IMU whose samples are weighed against nothing, or that is not there.
-pub(crate) const NO_WEIGHT: ImuNoiseModel = ImuNoiseModel {
+pub const NO_WEIGHT: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1e-3,
     accel_noise_density: 1e-2,
     gyro_bias_walk: 1e-4,
     accel_bias_walk: 1e-3,
 };
 
+/// A pause of the IMU too long to be bridged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuGap {
+    /// The last sample before it, or where samples should begin.
+    pub from: Timestamp,
+    /// The first behind it, or where samples should end.
+    pub to: Timestamp,
+    /// The longest that is, seconds.
+    pub longest_secs: f64,
+}
+
 /// Longest pause between samples that is bridged by a straight line, seconds.
 const LONGEST_PAUSE_SECS: f64 = 0.05;
 
 impl PreintegratedImu {
     /// No time at all: where summing begins.
-    pub(crate) fn nothing(bias: ImuBias) -> Self {
+    pub fn nothing(bias: ImuBias) -> Self {
         Self {
             duration_secs: 0.0,
             rotation: UnitQuaternion::identity(),
@@ -263,14 +275,14 @@ impl PreintegratedImu {
 
     /// Integrates `samples`, which are in order of time and reach from `start` to `end`.
     ///
-    /// [`Refusal::ImuGap`] where they leave more than 50 ms open, at an end or between.
+    /// [`ImuGap`] where they leave more than 50 ms open, at an end or between.
     pub fn integrate(
         samples: &[Stamped<ImuSample>],
         start: Timestamp,
         end: Timestamp,
         bias: ImuBias,
         noise: &ImuNoiseModel,
-    ) -> Result<Self, Error> {
+    ) -> Result<Self, ImuGap> {
         let first = samples
             .partition_point(|s| s.time <= start)
             .saturating_sub(1);
@@ -301,12 +313,7 @@ impl PreintegratedImu {
     }
 
     /// The one piece between two readings, however long.
-    pub(crate) fn between(
-        from: &Reading,
-        to: &Reading,
-        bias: ImuBias,
-        noise: &ImuNoiseModel,
-    ) -> Self {
+    pub fn between(from: &Reading, to: &Reading, bias: ImuBias, noise: &ImuNoiseModel) -> Self {
         let mut piece = Self::nothing(bias);
         piece.advance(from, to, noise);
         piece
@@ -467,13 +474,11 @@ fn set(matrix: &mut Matrix9, row: usize, column: usize, block: &Matrix3<f64>) {
     matrix.fixed_view_mut::<3, 3>(row, column).copy_from(block);
 }
 
-fn check_coverage(readings: &[Reading], start: Timestamp, end: Timestamp) -> Result<(), Error> {
-    let gap = |from: Timestamp, to: Timestamp| {
-        Error::Refused(Refusal::ImuGap {
-            from,
-            to,
-            longest_secs: LONGEST_PAUSE_SECS,
-        })
+fn check_coverage(readings: &[Reading], start: Timestamp, end: Timestamp) -> Result<(), ImuGap> {
+    let gap = |from: Timestamp, to: Timestamp| ImuGap {
+        from,
+        to,
+        longest_secs: LONGEST_PAUSE_SECS,
     };
     if readings.len() < 2 || end <= start {
         return Err(gap(start, end));

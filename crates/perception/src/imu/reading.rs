@@ -4,10 +4,13 @@ use lsfb_geometry::Vector3;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 /// Angular velocity and specific force at one time.
-#[derive(Clone, Copy)]
-pub(crate) struct Reading {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// When.
     pub time: Timestamp,
+    /// rad/s.
     pub angular_velocity: Vector3<f64>,
+    /// m/s².
     pub specific_force: Vector3<f64>,
 }
 
@@ -39,7 +42,7 @@ impl Reading {
 }
 
 /// Reading at `time`, linear between samples, the nearest one outside them.
-pub(crate) fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading> {
+pub fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading> {
     let next = samples.partition_point(|s| s.time < time);
     match (
         next.checked_sub(1).and_then(|i| samples.get(i)),
