@@ -453,6 +453,10 @@ fn depth_is_given_where_the_scanner_saw_something() {
     };
     let given = depth("two.tum", "depths");
     assert_eq!(given.status.code(), Some(0), "{}", said(&given));
+    // Images of other poses stood among those of these.
+    let again = depth("scan.tum", "depths");
+    assert_eq!(again.status.code(), Some(1));
+    assert!(said(&again).contains("--force"), "{}", said(&again));
     let folder = path.join("depths/depth/cam0");
     let files: Vec<_> = folder.read_dir().expect("a folder").collect();
     assert_eq!(files.len(), 2);
