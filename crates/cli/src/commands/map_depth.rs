@@ -11,6 +11,7 @@ use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
 use super::map_surface::{check_source, expect_sound, insert_scans};
 use crate::context::Context;
+use crate::existing::expect_free_folder;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
@@ -77,7 +78,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     read.extend(arguments.rig.as_deref());
     context.claim(&arguments.out, &read)?;
     for kind in KINDS {
-        context.claim_folder(&arguments.out.join(kind), &read)?;
+        expect_free_folder(&arguments.out.join(kind), context.force())?;
     }
     let mut provenance = Provenance::new(&(&config, arguments.every, &arguments.cameras));
     for path in read.iter().take(2 + usize::from(arguments.poses.is_some())) {
