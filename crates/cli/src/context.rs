@@ -171,6 +171,15 @@ impl Context {
         text: impl FnOnce() -> String,
     ) -> anyhow::Result<()> {
         self.expect_wanted()?;
+        self.print_ended(value, text)
+    }
+
+    /// The same of what a stop ends in order: a live recording, devices that are simulated or played.
+    pub fn print_ended<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
         self.display.finish();
         self.printed.store(true, Ordering::Relaxed);
         if self.json {

@@ -325,7 +325,7 @@ fn maps_that_stand_are_shown_exported_and_cut_and_joined_with_no_part_of_themsel
     let turned = [
         "map", "crop", "map", "--min-m", "1,1,1", "--max-m", "0,0,0", "--out", "none",
     ];
-    assert!(said(&lsfb(path, &turned)).contains("smallest coordinates first"));
+    assert!(said(&lsfb(path, &turned)).contains("the smallest coordinates or more"));
     // Naively each observation of that half stood twice in the result.
     let joined = ["map", "merge", "map", "half", "--out", "both"];
     found_unfit(

@@ -246,7 +246,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             return record_on_demand(arguments, &devices, &live, context);
         }
         let recorded = live.record(&devices, &arguments.out, context)?;
-        context.print(&recorded, || text_of_live(&recorded))?;
+        context.print_ended(&recorded, || text_of_live(&recorded))?;
         return Ok(outcome([&recorded.capture]));
     }
     let show = |p| context.show(p);
@@ -405,7 +405,7 @@ fn record_on_demand(
             }
         }
     }
-    context.print(&reports, || match reports.len() {
+    context.print_ended(&reports, || match reports.len() {
         0 => "nothing was recorded".to_owned(),
         n => format!("{n} recordings"),
     })?;

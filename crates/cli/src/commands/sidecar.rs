@@ -299,7 +299,7 @@ impl Play {
             "messages": sent.sidecar_messages,
             "unreadable": sent.unreadable,
         });
-        context.print(&report, || {
+        context.print_ended(&report, || {
             format!(
                 "{}: {} messages sent and stored",
                 self.recording.display(),
