@@ -291,12 +291,14 @@ fn exports(root: &Path) {
     assert!(ate.as_f64().expect("error") < 1e-8, "{ate}");
     let images = fs::read_dir(root.join("euroc/mav0/cam1/data")).expect("images");
     assert_eq!(images.count(), 150);
-    let again = "dataset export ds C3-glasses --format images --out euroc";
+    let first = "dataset export ds C3-glasses --format euroc --out twice";
+    run(root, first, 0);
+    let again = "dataset export ds C3-glasses --format images --out twice";
     assert!(said(root, again).contains("--force"));
     run(root, &format!("{again} --force"), 0);
-    assert!(!root.join("euroc/mav0").exists(), "of the export before");
+    assert!(!root.join("twice/mav0").exists(), "of the export before");
     // What is no export is not thrown away.
-    let others = again.replace("--out euroc", "--out ds/query --force");
+    let others = again.replace("--out twice", "--out ds/query --force");
     assert!(said(root, &others).contains("did not write"));
     assert!(root.join("ds/query/C3-glasses/walk.mcap").exists());
 
