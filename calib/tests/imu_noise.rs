@@ -2,7 +2,7 @@
 
 use lsfb_calib::imu_noise::{ImuNoiseConfig, Noise, imu_noise};
 use lsfb_sim::{ImuConfig, SimConfig, at_rest};
-use lsfb_types::Timestamp;
+use lsfb_types::{Timestamp, no_progress};
 
 fn check(name: &str, found: &Noise, truth: [Option<f64>; 3]) {
     let found = [found.density, found.instability, found.walk];
@@ -43,7 +43,7 @@ fn two_hours_at_rest_give_the_noise_that_was_put_in() {
             .into_iter()
             .map(|s| (Timestamp::from_nanos(s.offset_ns), s.sample))
             .collect();
-        let found = imu_noise(&samples, &ImuNoiseConfig::default()).expect("noise");
+        let found = imu_noise(&samples, &ImuNoiseConfig::default(), &no_progress).expect("noise");
         assert!((found.rate_hz - 100.0).abs() < 1e-6 && found.samples == samples.len());
         let put_in = |value: f64| (value > 0.0).then_some(value);
         check(

@@ -30,6 +30,8 @@ use lsfb_geometry::{
     Vector3, so3,
 };
 
+use lsfb_types::{Bounds, OutOfBounds};
+
 use crate::Error;
 use crate::camera::fit_lens;
 
@@ -119,8 +121,14 @@ pub struct Exported {
     pub notes: Vec<String>,
 }
 
+/// Samples per second that an IMU gives.
+const IMU_RATE_HZ: Bounds = Bounds::Within(1.0, 1e5);
+
 /// A rig in the files of `format`. `imu_rate_hz` is the rate of the IMU's samples, which a rig does not say.
 pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, Error> {
+    if !IMU_RATE_HZ.hold(imu_rate_hz) {
+        return Err(OutOfBounds::new("", "imu_rate_hz", &imu_rate_hz, &IMU_RATE_HZ).into());
+    }
     if rig.cameras.is_empty() {
         return Err(Error::Parse {
             path: format!("rig {}", rig.name),

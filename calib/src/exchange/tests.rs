@@ -211,6 +211,15 @@ fn ros_round_trip_and_lenses_it_does_not_know() {
     }
 }
 
+/// They were written into files that no program reads.
+#[test]
+fn rates_that_no_imu_has_are_refused() {
+    for rate_hz in [0.0, -5.0, f64::NAN, f64::INFINITY] {
+        let refused = export(&rig(&lenses()), Format::Kalibr, rate_hz).expect_err("no rate");
+        assert!(refused.to_string().contains("imu_rate_hz"), "{refused}");
+    }
+}
+
 #[test]
 fn wrong_files_are_named() {
     let kalibr = export(&rig(&lenses()), Format::Kalibr, 200.0).expect("exported");

@@ -1,5 +1,7 @@
 //! Allan variance (IEEE 952-1997, annex C), overlapping.
 
+use lsfb_types::{SharedProgress, Stopped};
+
 /// Windows per decade of cluster times.
 const PER_DECADE: f64 = 12.0;
 /// Longest cluster time as a share of the recording: beyond it too few clusters are left.
@@ -29,8 +31,13 @@ pub(super) fn lengths(count: usize) -> Vec<usize> {
     lengths
 }
 
-/// The Allan variance of samples `interval_s` apart at each of the `lengths`.
-pub(super) fn allan(samples: &[f64], interval_s: f64, lengths: &[usize]) -> Vec<Cluster> {
+/// The Allan variance of samples `interval_s` apart at each of the `lengths`, each of which is a unit of the progress.
+pub(super) fn allan(
+    samples: &[f64],
+    interval_s: f64,
+    lengths: &[usize],
+    progress: &SharedProgress<'_>,
+) -> Result<Vec<Cluster>, Stopped> {
     // Sums about the mean: no digits are lost to it.
     let count = samples.len();
     let mean = samples.iter().sum::<f64>() / count.max(1) as f64;
@@ -45,6 +52,7 @@ pub(super) fn allan(samples: &[f64], interval_s: f64, lengths: &[usize]) -> Vec<
         .iter()
         .filter(|m| **m > 0 && 2 * **m <= count)
         .map(|&m| {
+            progress.one_more()?;
             let stride = (m / STARTS).max(1);
             let (mut squares, mut differences) = (0.0, 0.0);
             for start in (0..=count - 2 * m).step_by(stride) {
@@ -56,11 +64,11 @@ pub(super) fn allan(samples: &[f64], interval_s: f64, lengths: &[usize]) -> Vec<
             // Overlapping clusters of white noise (Howe, Allan, Barnes 1981).
             let freedom = (1.5 * (n - 1.0) / length - 2.0 * (n - 2.0) / n) * 4.0 * length * length
                 / (4.0 * length * length + 5.0);
-            Cluster {
+            Ok(Cluster {
                 time_s: length * interval_s,
                 variance: squares / differences / (2.0 * length * length),
                 freedom: freedom.max(1.0),
-            }
+            })
         })
         .collect()
 }
@@ -68,6 +76,12 @@ pub(super) fn allan(samples: &[f64], interval_s: f64, lengths: &[usize]) -> Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lsfb_types::no_progress;
+
+    fn allan_of(samples: &[f64], lengths: &[usize]) -> Vec<Cluster> {
+        let progress = SharedProgress::new("Allan variance", lengths.len(), &no_progress);
+        allan(samples, 1.0, lengths, &progress).expect("nobody stops it")
+    }
 
     #[test]
     fn known_series() {
@@ -76,7 +90,7 @@ mod tests {
         let nbs = [
             892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0,
         ];
-        let found = allan(&nbs, 1.0, &[1, 2]);
+        let found = allan_of(&nbs, &[1, 2]);
         assert!((found[0].variance.sqrt() - 91.229_45).abs() < 1e-4);
         assert!((found[1].variance.sqrt() - 85.952_87).abs() < 1e-4);
     }
@@ -85,7 +99,7 @@ mod tests {
     fn a_ramp_has_the_slope_of_its_deviation() {
         // y = c t: the Allan deviation is c τ / √2.
         let ramp: Vec<f64> = (0..1000).map(|k| 0.5 * f64::from(k)).collect();
-        for cluster in allan(&ramp, 1.0, &lengths(ramp.len())) {
+        for cluster in allan_of(&ramp, &lengths(ramp.len())) {
             let expected = 0.5 * cluster.time_s / 2f64.sqrt();
             assert!((cluster.variance.sqrt() / expected - 1.0).abs() < 1e-9);
         }

@@ -2,7 +2,7 @@
 //!
 //! ```
 //! use lsfb_calib::imu_noise::{ImuNoiseConfig, imu_noise};
-//! use lsfb_types::{ImuSample, Timestamp};
+//! use lsfb_types::{ImuSample, Timestamp, no_progress};
 //! # use rand::{RngExt, SeedableRng};
 //! # let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
 //! # let mut noise = |sigma: f64| (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>() * sigma;
@@ -16,7 +16,7 @@
 //!         (Timestamp::from_nanos(k * 10_000_000), sample)
 //!     })
 //!     .collect();
-//! let found = imu_noise(&samples, &ImuNoiseConfig::default())?;
+//! let found = imu_noise(&samples, &ImuNoiseConfig::default(), &no_progress)?;
 //! assert!((found.rig_imu().gyro_noise_density / 0.001 - 1.0).abs() < 0.02);
 //! assert!((found.rig_imu().accel_noise_density / 0.01 - 1.0).abs() < 0.02);
 //! # Ok::<(), lsfb_calib::Error>(())
@@ -30,7 +30,9 @@ mod rest;
 mod uncertainty;
 
 use lsfb_geometry::ImuNoiseModel;
-use lsfb_types::{Bounds, Finding, ImuSample, Timestamp, Verdict};
+use lsfb_types::{
+    Bounds, Finding, ImuSample, ProgressFn, SharedProgress, Stopped, Timestamp, Verdict,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -124,6 +126,7 @@ impl ImuNoise {
 pub fn imu_noise(
     imu: &[(Timestamp, ImuSample)],
     config: &ImuNoiseConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<ImuNoise, Error> {
     config.check_bounds("imu_noise")?;
     expect_nanoseconds(
@@ -144,20 +147,21 @@ pub fn imu_noise(
     let names = [
         "gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z",
     ];
-    let axes: Vec<AxisNoise> = names
+    let progress = SharedProgress::new("Allan variance", names.len() * lengths.len(), progress);
+    let axes = names
         .par_iter()
         .zip(&log.axes)
         .map(|(name, samples)| {
-            let clusters = allan::allan(samples, log.interval_s, &lengths);
+            let clusters = allan::allan(samples, log.interval_s, &lengths, &progress)?;
             let noise = fit::fit(&clusters);
-            AxisNoise {
+            Ok(AxisNoise {
                 name: (*name).to_owned(),
                 sigma: uncertainty::sigma(&noise, &clusters, &recorded(1)),
                 noise,
                 clusters,
-            }
+            })
         })
-        .collect();
+        .collect::<Result<Vec<AxisNoise>, Stopped>>()?;
     let [(gyro, gyro_sigma), (accel, accel_sigma)] = [&axes[..3], &axes[3..]].map(|triad| {
         let clusters = together(triad);
         let noise = fit::fit(&clusters);

@@ -2,6 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use lsfb_types::no_progress;
 
 /// A normal number by Irwin and Hall: close enough, and exact in its variance.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
@@ -26,9 +27,12 @@ fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
     let mut samples = at_rest(120, 50, 0.01);
     samples.remove(1000);
     let config = ImuNoiseConfig::default();
-    let found = imu_noise(&samples, &config).expect("noise");
+    let found = imu_noise(&samples, &config, &no_progress).expect("noise");
     samples.reverse();
-    assert_eq!(imu_noise(&samples, &config).expect("noise"), found);
+    assert_eq!(
+        imu_noise(&samples, &config, &no_progress).expect("noise"),
+        found
+    );
     assert!(
         found.findings[0]
             .what
@@ -75,7 +79,11 @@ fn errors_are_as_large_as_their_sigma_says() {
     let mut densities = Vec::new();
     let mut walks = Vec::new();
     for seed in 0..8 {
-        let found = imu_noise(&walking(seed, white, walk), &ImuNoiseConfig::default());
+        let found = imu_noise(
+            &walking(seed, white, walk),
+            &ImuNoiseConfig::default(),
+            &no_progress,
+        );
         for axis in found.expect("noise").axes {
             densities.push((axis.noise.density - white) / axis.sigma.density);
             walks.push((axis.noise.walk - walk) / axis.sigma.walk);
@@ -101,7 +109,7 @@ fn what_no_imu_at_rest_measures_fails() {
         for (k, (_, sample)) in changed.iter_mut().enumerate() {
             change(k, sample);
         }
-        let found = imu_noise(&changed, &ImuNoiseConfig::default()).expect("noise");
+        let found = imu_noise(&changed, &ImuNoiseConfig::default(), &no_progress).expect("noise");
         let is_problem = |f: &&Finding| f.verdict != Verdict::Pass && f.code != "random-walk";
         let problems = found.findings.iter().filter(is_problem);
         problems
@@ -145,7 +153,7 @@ fn what_no_imu_at_rest_measures_fails() {
 fn bad_input_is_named() {
     let config = ImuNoiseConfig::default();
     let error = |samples: &[(Timestamp, ImuSample)]| {
-        let error = imu_noise(samples, &config).expect_err("bad input");
+        let error = imu_noise(samples, &config, &no_progress).expect_err("bad input");
         error.to_string()
     };
     assert!(error(&[]).contains("there are no samples"));

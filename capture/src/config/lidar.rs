@@ -8,7 +8,7 @@ use lsfb_drivers::lidar::{
     BeamAngles, Destination, Page, RECEIVE_BUFFER_BYTES, Returns, ScanSettings, SensorSettings,
 };
 use lsfb_geometry::MAIN_LIDAR;
-use lsfb_types::Bounds;
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -84,11 +84,31 @@ lsfb_types::bounds! {
 lsfb_types::bounds! {
     LidarSettingsConfig {
         page: any,
-        rpm: optional(Bounds::Within(300.0, 1200.0)),
+        rpm: optional(Bounds::MultipleOf(60.0, 300.0, 1200.0)),
         returns: any,
         field_of_view_deg: any,
         phase_lock_centideg: optional(Bounds::Within(0.0, 35_999.0)),
         destination: any,
+    }
+    also is_in_a_turn
+}
+
+/// Degrees of a turn, the last of which is the one before the first.
+const DEGREES: Bounds = Bounds::Within(0.0, 359.0);
+
+impl LidarSettingsConfig {
+    /// A sector ends at degrees that there are.
+    fn is_in_a_turn(&self, section: &str) -> Result<(), OutOfBounds> {
+        let mut ends = self.field_of_view_deg.iter().flatten();
+        match ends.find(|degree| !DEGREES.hold(f64::from(**degree))) {
+            Some(degree) => Err(OutOfBounds::new(
+                section,
+                "field_of_view_deg",
+                degree,
+                &DEGREES,
+            )),
+            None => Ok(()),
+        }
     }
 }
 

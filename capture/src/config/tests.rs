@@ -93,12 +93,15 @@ fn numbers_of_a_lidar_outside_their_bounds_are_refused_by_name() {
     for (setting, expected) in [
         (
             "rpm = 200",
-            "setting lidar.settings.rpm is 200: it must be 300 to 1200",
+            "setting lidar.settings.rpm is 200: it must be a multiple of 60 from 300 to 1200",
         ),
-        ("rpm = 601", "lidar: rpm cannot be `601`"),
+        (
+            "rpm = 601",
+            "rpm is 601: it must be a multiple of 60 from 300 to 1200",
+        ),
         (
             "field_of_view_deg = [0, 360]",
-            "field of view cannot be `360`",
+            "setting lidar.settings.field_of_view_deg is 360: it must be 0 to 359",
         ),
         ("phase_lock_centideg = 36000", "it must be 0 to 35999"),
     ] {

@@ -82,6 +82,12 @@ impl Context {
         crate::files::expect_writable(result)
     }
 
+    /// The same of a folder that is a result as a whole, whatever is in it.
+    pub fn claim_folder(&self, result: &Path, read: &[&Path]) -> anyhow::Result<()> {
+        crate::existing::expect_free_folder(result, self.force)?;
+        self.claim(result, read)
+    }
+
     /// What was said about results that stand, made from the same by this program; `None` where they are to be made.
     pub fn standing<R: DeserializeOwned>(
         &self,
@@ -157,8 +163,19 @@ impl Context {
         self.display.show_board(lines);
     }
 
-    /// Prints a command's result: `value` as JSON where that was asked for, else `text`.
+    /// Prints a command's result: `value` as JSON where that was asked for, else `text`. A command that writes nothing else and was told
+    /// to stop prints nothing either.
     pub fn print<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
+        self.expect_wanted()?;
+        self.print_ended(value, text)
+    }
+
+    /// The same of what a stop ends in order: a live recording, devices that are simulated or played.
+    pub fn print_ended<T: Serialize>(
         &self,
         value: &T,
         text: impl FnOnce() -> String,
@@ -169,6 +186,14 @@ impl Context {
             terminal::print_plain(&serde_json::to_string(value)?)
         } else {
             terminal::print(&text())
+        }
+    }
+
+    /// Fails where the user asked for an end and nothing is written that the result belongs to.
+    fn expect_wanted(&self) -> Result<(), Stopped> {
+        match self.places.lock().is_ok_and(|places| places.is_empty()) {
+            true => self.stop.check(),
+            false => Ok(()),
         }
     }
 

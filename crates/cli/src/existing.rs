@@ -24,6 +24,18 @@ pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result
     Ok(())
 }
 
+/// Fails where a folder that is a result as a whole has something in it and may not be replaced: what is left of another result would be
+/// taken for a part of the new one.
+pub fn expect_free_folder(folder: &Path, force: bool) -> anyhow::Result<()> {
+    let is_empty = std::fs::read_dir(folder).map_or(true, |mut files| files.next().is_none());
+    anyhow::ensure!(
+        force || is_empty && !folder.is_file(),
+        "{}: exists already: choose another name, or replace it with --force",
+        folder.display()
+    );
+    Ok(())
+}
+
 /// Fails where a result has the name of another one of the same command, which it would take the place of. Devices and pipes may be named
 /// twice.
 pub fn expect_another(result: &Path, others: &[PathBuf]) -> anyhow::Result<()> {
@@ -72,6 +84,20 @@ mod tests {
         let again = folder.path().join(".").join("a.csv");
         let refusal = expect_another(&again, &claimed).expect_err("one name");
         assert!(refusal.to_string().contains("two results"), "{refusal}");
+    }
+
+    /// Images of other settings stood among new ones.
+    #[test]
+    fn folders_of_results_stay_unless_forced() {
+        let folder = tempfile::tempdir().expect("folder");
+        let depth = folder.path().join("depth");
+        expect_free_folder(&depth, false).expect("nothing there");
+        std::fs::create_dir(&depth).expect("folder");
+        expect_free_folder(&depth, false).expect("nothing in it");
+        std::fs::write(depth.join("1.png"), "yesterday").expect("file");
+        let refusal = expect_free_folder(&depth, false).expect_err("taken");
+        assert!(refusal.to_string().contains("--force"), "{refusal}");
+        expect_free_folder(&depth, true).expect("forced");
     }
 
     #[test]

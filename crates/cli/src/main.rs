@@ -8,6 +8,7 @@
     reason = "the one crate that talks to people"
 )]
 
+mod bad_argument;
 mod clock_page;
 mod commands;
 mod context;

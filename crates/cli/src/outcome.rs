@@ -14,7 +14,7 @@ pub const EXIT_CODES: [(&str, &str); 6] = [
     ("2", "bad arguments"),
     (
         "3",
-        "finished, but incomplete: data was lost or unreadable, or uncertain parts were left out; the report says which",
+        "finished, but incomplete: data was lost or unreadable, or parts of the result are uncertain or were left out; the report says which",
     ),
     (
         "4",
@@ -37,12 +37,14 @@ pub fn exit_codes() -> String {
 pub enum Outcome {
     /// Everything asked for was done.
     Done,
-    /// Finished, but data was lost or unreadable, or uncertain parts were left out; the report says which.
+    /// Finished, but data was lost or unreadable, or parts of the result are uncertain or were left out; the report says which.
     DataLost,
     /// A check failed, of a recording, a machine, a calibration; the findings say why.
     JudgementFailed,
     /// It could not be done.
     Failed,
+    /// It was asked for wrongly.
+    BadArguments,
 }
 
 impl Outcome {
@@ -63,6 +65,7 @@ impl From<Outcome> for ExitCode {
             Outcome::DataLost => ExitCode::from(3),
             Outcome::JudgementFailed => ExitCode::from(4),
             Outcome::Failed => ExitCode::FAILURE,
+            Outcome::BadArguments => ExitCode::from(2),
         }
     }
 }
@@ -92,12 +95,14 @@ mod tests {
             Outcome::DataLost,
             Outcome::JudgementFailed,
             Outcome::Failed,
+            Outcome::BadArguments,
         ] {
             let code = match outcome {
                 Outcome::Done => 0,
                 Outcome::DataLost => 3,
                 Outcome::JudgementFailed => 4,
                 Outcome::Failed => 1,
+                Outcome::BadArguments => 2,
             };
             assert_eq!(ExitCode::from(outcome), ExitCode::from(code));
             assert!(known.contains(&code.to_string().as_str()));

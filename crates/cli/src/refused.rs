@@ -6,6 +6,7 @@ use std::fmt;
 use lsfb_types::{Finding, Judgement};
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::outcome::Outcome;
 
 /// A finding for which a command gives nothing, where no library refuses.
@@ -26,6 +27,8 @@ pub struct Failed {
     #[serde(flatten)]
     judgement: Option<Judgement>,
     error: String,
+    #[serde(skip)]
+    is_argument: bool,
 }
 
 impl Failed {
@@ -34,14 +37,16 @@ impl Failed {
         Self {
             judgement: finding(error).map(|found| Judgement::new(vec![found])),
             error: message.to_owned(),
+            is_argument: error.chain().any(|cause| cause.is::<BadArgument>()),
         }
     }
 
     /// The exit code that goes with it.
     pub fn outcome(&self) -> Outcome {
-        match self.judgement {
-            Some(_) => Outcome::JudgementFailed,
-            None => Outcome::Failed,
+        match (&self.judgement, self.is_argument) {
+            (_, true) => Outcome::BadArguments,
+            (Some(_), false) => Outcome::JudgementFailed,
+            (None, false) => Outcome::Failed,
         }
     }
 }
@@ -89,6 +94,14 @@ mod tests {
     fn what_could_not_be_done_is_no_judgement() {
         let error = anyhow::Error::new(std::io::Error::other("disk full")).context("scan.mcap");
         assert_eq!(Failed::new(&error, "").outcome(), Outcome::Failed);
+        assert_eq!(json(&error), serde_json::json!({ "error": "why" }));
+    }
+
+    /// An option with a value that it cannot have ended as a missing file did.
+    #[test]
+    fn what_was_asked_for_wrongly_is_told_from_what_failed() {
+        let error = anyhow::Error::new(BadArgument::new("--words is 0")).context("map");
+        assert_eq!(Failed::new(&error, "").outcome(), Outcome::BadArguments);
         assert_eq!(json(&error), serde_json::json!({ "error": "why" }));
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::answer::json;
 use crate::capture_file::pcap;
 use crate::process::lsfb;
-use crate::refusal::{contents, found_unfit, refused};
+use crate::refusal::{badly_asked, contents, found_unfit, refused};
 use crate::session::{inputs, with};
 use lsfb_recording::{Recording, read_tum};
 use tempfile::TempDir;
@@ -343,7 +343,7 @@ fn a_walk_is_not_solved_together_with_itself() {
     let line = "groundtruth walk.mcap --with ./walk.mcap --map map --out scan.tum";
     let arguments: Vec<&str> = line.split(' ').collect();
     let words = ["./walk.mcap", "--with takes other walks"];
-    refused(folder.path(), &arguments, &words);
+    badly_asked(folder.path(), &arguments, &words);
     // Nor with a copy of itself.
     let copy = folder.path().join("glasses.mcap");
     std::fs::copy(folder.path().join("walk.mcap"), copy).expect("a copy");
@@ -354,7 +354,7 @@ fn a_walk_is_not_solved_together_with_itself() {
         "--with takes other walks",
         "this is walk.mcap",
     ];
-    refused(folder.path(), &arguments, &words);
+    badly_asked(folder.path(), &arguments, &words);
 }
 
 #[test]
@@ -513,6 +513,72 @@ fn trajectories_that_cannot_be_compared() {
         &["eval", "missing.tum", "--truth", "scan.tum"],
         &["missing.tum"],
     );
+}
+
+/// They ended as what could not be done, or as a check that failed; now as any bad argument, before anything is read.
+#[test]
+fn values_that_an_option_cannot_have() {
+    let folder = with(&["scan.mcap", "walk.mcap", "map", "scan.tum"]);
+    let path = folder.path();
+    std::fs::write(path.join("floor.survey"), "point A 0 0 0\n").expect("survey");
+    for (line, words) in [
+        (
+            "eval scan.tum --truth scan.tum --rpe-delta 0",
+            "--rpe-delta is 0: it must be more than 0",
+        ),
+        (
+            "eval scan.tum --truth scan.tum --rpe-delta 1.5 --rpe-unit frames",
+            "--rpe-delta is 1.5: it must be a whole number of frames",
+        ),
+        (
+            "eval scan.tum --truth scan.tum --max-difference-secs=-1",
+            "--max-difference-secs is -1: it must be 0 or more",
+        ),
+        (
+            "align scan.tum --reference scan.tum --search-secs 9999",
+            "--search-secs is 9999: it must be 0 to 3600",
+        ),
+        (
+            "align scan.tum --reference scan.tum --offset-secs nan",
+            "--offset-secs is NaN",
+        ),
+        (
+            "bench radio a.csv b.csv --neighbours 0",
+            "--neighbours is 0: it must be",
+        ),
+        (
+            "dataset radio walk.mcap --out r.csv --place-sigma-m=-1",
+            "--place-sigma-m is -1: it must be",
+        ),
+        (
+            "clock scan.mcap --window-secs=0",
+            "--window-secs is 0: it must be 1 or more",
+        ),
+        (
+            "survey check floor.survey --reach-m=-1",
+            "--reach-m is -1: it must be more than 0",
+        ),
+        (
+            "survey check floor.survey --rest-spread-m=0",
+            "--rest-spread-m is 0: it must be more than 0",
+        ),
+        (
+            "map crop map --min-m=1,1,1 --max-m 2,0,2 --out part",
+            "--max-m is 2,0,2: it must be the smallest coordinates or more",
+        ),
+        ("localize map", "give one map and one walk"),
+        (
+            "localize map walk.mcap --every 2",
+            "--rig and --every are for folders",
+        ),
+        (
+            "vio walk.mcap --camera nope --out v.tum",
+            "--camera nope: rig",
+        ),
+    ] {
+        let arguments: Vec<&str> = line.split(' ').collect();
+        badly_asked(path, &arguments, &[words]);
+    }
 }
 
 #[test]

@@ -75,7 +75,7 @@ fn conditions_that_a_place_cannot_have_are_named() {
     let trial = "bench twin --out trial --try-out --places exhibition-hall,atrium --devices glasses --condition";
     refused(
         &format!("{trial} fire-door"),
-        1,
+        2,
         "choose --place house-park,large-office,wide-corridor,narrow-corridor",
     );
     refused(

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::answer::json;
-use crate::refusal::refused;
+use crate::refusal::{badly_asked, refused};
 use lsfb_geometry::{Camera, Rig, Se3};
 use lsfb_sim::{SimConfig, rigs};
 
@@ -204,11 +204,29 @@ fn files_that_are_none_are_refused() {
             &["gone"],
         );
     }
-    refused(
+    badly_asked(
         folder.path(),
         &["calib", "import", "basalt", "a", "b", "--out", "new.toml"],
         &["2 files, but at most 1"],
     );
+}
+
+/// They ended with 0, and Kalibr's file had a rate of NaN.
+#[test]
+fn rates_that_no_imu_has_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let rig = backpack([0.0; 4]);
+    std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
+    let export = ["calib", "export", "kalibr", "rig.toml", "--out", "out"];
+    for rate in ["0", "-5", "nan"] {
+        let rate = format!("--imu-rate-hz={rate}");
+        let arguments = [&export[..], &[&rate]].concat();
+        badly_asked(
+            folder.path(),
+            &arguments,
+            &["--imu-rate-hz is", "1 to 100000"],
+        );
+    }
 }
 
 fn data(test: &str, name: &str) -> Option<String> {

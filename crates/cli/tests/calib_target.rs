@@ -1,7 +1,7 @@
 //! `lsfb calib target`: boards on paper, and the files that describe them.
 
 use crate::process::lsfb;
-use crate::refusal::refused;
+use crate::refusal::badly_asked;
 
 #[test]
 fn boards_are_printed_and_their_files_name_the_same_board() {
@@ -46,9 +46,8 @@ fn boards_are_printed_and_their_files_name_the_same_board() {
         assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(said.contains(words), "{said}");
     }
-    refused(
-        folder.path(),
-        &charuco("30,16,0.05,0.04,5x5"),
-        &["1500 × 800 mm"],
-    );
+    let large = charuco("30,16,0.05,0.04,5x5");
+    badly_asked(folder.path(), &large, &["--page-m", "1500 × 800 mm"]);
+    let nowhere = [&charuco("11,8,0.025,0.019,5x5")[..], &["--page-m=0,0"]].concat();
+    badly_asked(folder.path(), &nowhere, &["--page-m"]);
 }

@@ -325,7 +325,7 @@ fn maps_that_stand_are_shown_exported_and_cut_and_joined_with_no_part_of_themsel
     let turned = [
         "map", "crop", "map", "--min-m", "1,1,1", "--max-m", "0,0,0", "--out", "none",
     ];
-    assert!(said(&lsfb(path, &turned)).contains("smallest coordinates first"));
+    assert!(said(&lsfb(path, &turned)).contains("the smallest coordinates or more"));
     // Naively each observation of that half stood twice in the result.
     let joined = ["map", "merge", "map", "half", "--out", "both"];
     found_unfit(
@@ -453,6 +453,10 @@ fn depth_is_given_where_the_scanner_saw_something() {
     };
     let given = depth("two.tum", "depths");
     assert_eq!(given.status.code(), Some(0), "{}", said(&given));
+    // Images of other poses stood among those of these.
+    let again = depth("scan.tum", "depths");
+    assert_eq!(again.status.code(), Some(1));
+    assert!(said(&again).contains("--force"), "{}", said(&again));
     let folder = path.join("depths/depth/cam0");
     let files: Vec<_> = folder.read_dir().expect("a folder").collect();
     assert_eq!(files.len(), 2);

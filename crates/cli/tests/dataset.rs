@@ -57,6 +57,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
         let text = fs::read_to_string(at(name)).expect(name);
         assert!(!text.contains("4711"), "{name}: {text}");
     }
+    sealing(root, &made);
     // What is packed is not made again.
     let before = fs::metadata(at("query/C3-glasses/walk.mcap"))
         .expect("walk")
@@ -143,6 +144,24 @@ fn a_sequence_is_made_packed_checked_and_measured() {
         )
         .contains("truth")
     );
+}
+
+/// Its hashes, and the description that it reads, were replaced unasked.
+fn sealing(root: &Path, made: &Value) {
+    let read = |name: &str| fs::read(root.join("ds").join(name)).expect("file");
+    let names = ["SHA256SUMS", "dataset.toml", "truth/SHA256SUMS"];
+    let before = names.map(read);
+    let sealed = run(root, "dataset seal ds", 0);
+    assert_eq!(sealed["sums_sha256"], made["sums_sha256"]);
+    fs::write(root.join("ds/NOTES.txt"), "one more file\n").expect("file");
+    let refused = said(root, "dataset seal ds");
+    assert!(refused.contains("--force"), "{refused}");
+    assert!(names.map(read) == before);
+    let anew = run(root, "dataset seal ds --force", 0);
+    assert_ne!(anew["sums_sha256"], made["sums_sha256"]);
+    fs::remove_file(root.join("ds/NOTES.txt")).expect("file");
+    run(root, "dataset seal ds --force", 0);
+    assert!(names.map(read) == before);
 }
 
 /// Maps with walks in them, and an estimate beside its truth.
@@ -272,6 +291,16 @@ fn exports(root: &Path) {
     assert!(ate.as_f64().expect("error") < 1e-8, "{ate}");
     let images = fs::read_dir(root.join("euroc/mav0/cam1/data")).expect("images");
     assert_eq!(images.count(), 150);
+    let first = "dataset export ds C3-glasses --format euroc --out twice";
+    run(root, first, 0);
+    let again = "dataset export ds C3-glasses --format images --out twice";
+    assert!(said(root, again).contains("--force"));
+    run(root, &format!("{again} --force"), 0);
+    assert!(!root.join("twice/mav0").exists(), "of the export before");
+    // What is no export is not thrown away.
+    let others = again.replace("--out twice", "--out ds/query --force");
+    assert!(said(root, &others).contains("did not write"));
+    assert!(root.join("ds/query/C3-glasses/walk.mcap").exists());
 
     run(
         root,

@@ -146,12 +146,12 @@ fn a_capture_without_the_lidar_says_what_is_in_it() {
         found_unfit(path, &["scan", "--pcap", name, "--out", "out.mcap"], words);
         assert!(!path.join("out.mcap").exists(), "{name}");
     }
-    let ports = ["--lidar-ports", "2370", "--out", "out.mcap"];
-    json(
-        path,
-        &[&["scan", "--pcap", "elsewhere.pcap"][..], &ports].concat(),
-        0,
-    );
+    // As it was called before too.
+    for option in ["--lidar-ports", "--lidar-port"] {
+        let ports = [option, "2370", "--out", "out.mcap", "--force"];
+        let scan = ["scan", "--pcap", "elsewhere.pcap"];
+        json(path, &[&scan[..], &ports].concat(), 0);
+    }
     assert!(scans(&path.join("out.mcap")).len() > 3);
 }
 

@@ -77,7 +77,7 @@ fn walks_of_a_mall_are_placed_by_their_wifi_as_a_script_has_it() {
     }
     // A walk that is given twice would find itself.
     let twice = lsfb(root, &["bench", "radio", "0.csv", "1.csv", "./0.csv"]);
-    assert_eq!(twice.status.code(), Some(1));
+    assert_eq!(twice.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&twice.stderr).contains("given twice"));
 }
 

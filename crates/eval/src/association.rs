@@ -1,7 +1,7 @@
 //! Which pose of the estimate belongs to which pose of the truth.
 
 use lsfb_geometry::StampedPose;
-use lsfb_types::Timestamp;
+use lsfb_types::{Bounds, OutOfBounds, Timestamp};
 
 use crate::Error;
 
@@ -14,6 +14,9 @@ pub struct PosePair {
     pub estimate: StampedPose,
 }
 
+/// What the largest difference of two stamps may be, seconds.
+pub(crate) const MAX_DIFFERENCE: Bounds = Bounds::NOT_NEGATIVE;
+
 /// Each pose of the shorter list with the one of the longer whose stamp is nearest, where they differ by no more than
 /// `max_difference_secs`; of two equally near stamps the earlier. Of lists of one length the estimate counts as the
 /// shorter. Both must be in order of time, which [`crate::evaluate`] checks.
@@ -22,10 +25,9 @@ pub fn associate(
     estimate: &[StampedPose],
     max_difference_secs: f64,
 ) -> Result<Vec<PosePair>, Error> {
-    if !(max_difference_secs >= 0.0) || max_difference_secs.is_infinite() {
-        return Err(Error::BadMaxDifference {
-            value: max_difference_secs,
-        });
+    if !MAX_DIFFERENCE.hold(max_difference_secs) {
+        let name = "max_difference_secs";
+        return Err(OutOfBounds::new("", name, &max_difference_secs, &MAX_DIFFERENCE).into());
     }
     let max_nanos = (max_difference_secs * 1e9).round() as i64;
     let pairs: Vec<PosePair> = if estimate.len() > truth.len() {

@@ -57,8 +57,9 @@ pub use consistency::Consistency;
 pub use error::Error;
 pub use evaluation::{
     AlignedError, Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, Relocalization,
-    RpeConfig, RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
+    RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
 };
+pub use pairs::RpeConfig;
 pub use read::{
     Columns, Orientations, ReadOptions, TrajectoryFile, covariance_in_world, read_poses,
     read_trajectory,

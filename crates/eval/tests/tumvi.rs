@@ -6,7 +6,7 @@ use lsfb_eval::hand_eye::{
 };
 use lsfb_eval::read_poses;
 use lsfb_geometry::{StampedPose, UnitQuaternion, Vector3};
-use lsfb_types::{ImuSample, Stamped, Timestamp};
+use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 
 struct Part {
     poses: Vec<StampedPose>,
@@ -49,7 +49,10 @@ fn aligned(test: &str, name: &str) -> Option<GyroAlignment> {
             rate_rad_s: s.sample.angular_velocity_rad_s.into(),
         })
         .collect();
-    Some(align_gyroscope(&poses, &samples, &HandEyeConfig::default()).expect("one body"))
+    Some(
+        align_gyroscope(&poses, &samples, &HandEyeConfig::default(), &no_progress)
+            .expect("one body"),
+    )
 }
 
 /// The same with the accelerometer: the IMU sits where the authors say, and both parts put it there.
@@ -61,7 +64,13 @@ fn the_imu_sits_where_the_authors_say() {
         return;
     };
     let [first, second] = [first, second].map(|part| {
-        align_mocap(&part.poses, &part.samples, &MocapConfig::default()).expect("one body")
+        align_mocap(
+            &part.poses,
+            &part.samples,
+            &MocapConfig::default(),
+            &no_progress,
+        )
+        .expect("one body")
     });
     for part in [&first, &second] {
         assert!(
@@ -144,7 +153,8 @@ fn two_gyroscopes_have_one_clock_within_a_millisecond() {
                 rate_rad_s: turn * Vector3::from(s.sample.angular_velocity_rad_s),
             })
             .collect();
-        let found = align_gyroscopes(&phone, &rig, &HandEyeConfig::default()).expect("one body");
+        let found = align_gyroscopes(&phone, &rig, &HandEyeConfig::default(), &no_progress)
+            .expect("one body");
         println!("{found:?}");
         let off_secs = (found.offset_secs - offset_secs).abs();
         assert!(

@@ -33,7 +33,7 @@ impl DescriptorIndex {
         config: &IndexConfig,
         progress: ProgressFn,
     ) -> Result<Self, Error> {
-        config.check()?;
+        config.check_bounds("index")?;
         let count = source.len();
         if u32::try_from(count).is_err() {
             return Err(Error::TooManyDescriptors { count });

@@ -37,7 +37,6 @@ use arrow_buffer::{Buffer, ScalarBuffer};
 use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::features::DESCRIPTOR_LEN;
 pub(crate) use file::TABLES;
 pub(crate) use kernels::CentroidBlocks;
@@ -89,17 +88,22 @@ lsfb_types::bounds! {
         training_rounds: any,
         seed: any,
     }
+    also has_code_length
 }
 
 impl IndexConfig {
-    /// Refuses settings without meaning.
-    fn check(&self) -> Result<(), Error> {
-        self.check_bounds("index")?;
+    /// Codes are of the lengths that the search is compiled for.
+    fn has_code_length(&self, section: &str) -> Result<(), OutOfBounds> {
         if is_code_length(self.code_bytes) {
             return Ok(());
         }
         let is = "8, 16, 32 or 64";
-        Err(OutOfBounds::new("index", "code_bytes", &self.code_bytes, &is).into())
+        Err(OutOfBounds::new(
+            section,
+            "code_bytes",
+            &self.code_bytes,
+            &is,
+        ))
     }
 }
 

@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::Error;
 use crate::features::{Descriptor, matching};
 
 /// Descriptors like real ones: few large bins, similar ones in families.

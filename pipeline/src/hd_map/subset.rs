@@ -2,7 +2,7 @@
 
 use lsfb_geometry::Vector3;
 use lsfb_perception::statistics::median;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Bounds, OutOfBounds, ProgressFn};
 
 use super::HdMap;
 use super::build::MapRows;
@@ -18,7 +18,33 @@ pub struct Region {
     pub max: Vector3<f64>,
 }
 
+lsfb_types::bounds! {
+    Region {
+        min: each(FINITE),
+        max: each(FINITE),
+    }
+    also is_in_order
+}
+
+/// Every coordinate that is a number.
+const FINITE: Bounds = Bounds::Within(f64::MIN, f64::MAX);
+
 impl Region {
+    /// Of a box the wrong way round nothing would be left.
+    fn is_in_order(&self, section: &str) -> Result<(), OutOfBounds> {
+        if self.contains(&self.min) {
+            return Ok(());
+        }
+        let [x, y, z] = self.max.into();
+        let bounds = "the smallest coordinates or more";
+        Err(OutOfBounds::new(
+            section,
+            "max",
+            &format!("{x},{y},{z}"),
+            &bounds,
+        ))
+    }
+
     /// Whether a point lies in it or on its border.
     pub fn contains(&self, point: &Vector3<f64>) -> bool {
         (0..3).all(|axis| (self.min[axis]..=self.max[axis]).contains(&point[axis]))

@@ -11,6 +11,7 @@ use lsfb_geometry::{Rig, RigCamera, Se3};
 use lsfb_recording::Provenance;
 
 use super::calib_result::Results;
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
@@ -100,6 +101,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     if let Some(problem) = rig.problem() {
         anyhow::bail!("{}: {problem}", names_of(&arguments.files));
     }
+    context.check_stop()?;
     super::write(&arguments.out, rig.to_toml())?;
     provenance.write(&arguments.out)?;
     let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
@@ -136,8 +138,10 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     };
     anyhow::ensure!(
         files.len() <= most,
-        "{} files, but at most {most} are expected: see --help for their order",
-        files.len()
+        BadArgument::new(format!(
+            "{} files, but at most {most} are expected: see --help for their order",
+            files.len()
+        ))
     );
     let Some(first) = files.first() else {
         anyhow::bail!("no file was given");
@@ -263,13 +267,19 @@ fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>
 /// Writes the files.
 pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
     let rig = Rig::read(&arguments.rig)?;
-    let exported = export(&rig, arguments.program, arguments.imu_rate_hz)?;
+    let exported = export(&rig, arguments.program, arguments.imu_rate_hz);
+    let exported = exported.map_err(|error| match error {
+        // The rate is the one setting of an export.
+        lsfb_calib::Error::Setting(error) => BadArgument::of_option(&error, &[]).into(),
+        error => anyhow::Error::new(error),
+    })?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     let files = exported.files.iter();
     let paths: Vec<PathBuf> = files.map(|f| arguments.out.join(&f.name)).collect();
     paths
         .iter()
         .try_for_each(|path| context.claim(path, &[&arguments.rig]))?;
+    context.check_stop()?;
     for (path, file) in paths.iter().zip(&exported.files) {
         super::write(path, &file.text)?;
     }

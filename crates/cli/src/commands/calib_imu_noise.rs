@@ -87,7 +87,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => None,
     };
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref(), context)?;
-    let found = imu_noise(&samples, &config)?;
+    let found = imu_noise(&samples, &config, &|p| context.show(p))?;
+    context.check_stop()?;
     write(&arguments.out, found.to_html("IMU noise"))?;
     let judgement = found.judgement();
     let is_usable = judgement.verdict() != Verdict::Fail;

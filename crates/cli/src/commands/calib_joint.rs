@@ -97,6 +97,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         });
     }
     found.put_into(&mut rig);
+    context.check_stop()?;
     let page = arguments.out.with_extension("html");
     write(&page, found.to_html("Joint calibration"))?;
     let judgement = found.judgement();

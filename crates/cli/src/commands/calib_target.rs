@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use lsfb_calib::board::PageSize;
 
 use super::calib_board::{BoardArguments, two_lengths};
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -33,9 +34,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let [width_m, height_m] = arguments.page_m;
     let page = PageSize { width_m, height_m };
     let yaml = arguments.out.with_extension("yaml");
+    let pdf = target.to_pdf(page);
+    let pdf = pdf.map_err(|error| BadArgument::new(format!("--page-m: {error}")))?;
     context.claim(&arguments.out, &[])?;
     context.claim(&yaml, &[])?;
-    super::write(&arguments.out, target.to_pdf(page)?)?;
+    context.check_stop()?;
+    super::write(&arguments.out, pdf)?;
     super::write(&yaml, target.to_kalibr())?;
     context.print(&target, || {
         format!(

@@ -7,6 +7,7 @@ use lsfb_capture::clock::{ClockConfig, ClockReport, DeviceClock, estimate_clocks
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::clock_page;
 use crate::context::Context;
 use crate::judged::{self, Judged};
@@ -48,6 +49,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(secs) = arguments.window_secs {
         config.window_secs = secs;
     }
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
     let page = arguments
         .out
         .clone()

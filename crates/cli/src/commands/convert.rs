@@ -75,6 +75,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for file in format.files(&arguments.out) {
         context.claim(&file, &read)?;
     }
+    context.check_stop()?;
     let written = super::about(
         &arguments.trajectory,
         write_trajectory(&trajectory, format, &arguments.out),

@@ -8,6 +8,7 @@ use lsfb_types::Judgement;
 use serde::Serialize;
 
 use super::doctor_host;
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::judged;
 use crate::outcome::Outcome;
@@ -46,7 +47,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return print(&judgement, "this machine", &Host { folder }, context);
     }
     let Some(path) = &arguments.recording else {
-        anyhow::bail!("give a recording, or --host");
+        anyhow::bail!(BadArgument::new("give a recording, or --host"));
     };
     let mut config: DoctorConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,

@@ -12,6 +12,7 @@ use lsfb_eval::{
 use lsfb_geometry::Trajectory;
 use lsfb_types::{Judgement, StampUnit};
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::one_of::one_of;
@@ -92,6 +93,9 @@ pub struct Arguments {
 
 /// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config = config(arguments);
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
     if let Some(page) = &arguments.out {
         context.claim(page, &[&arguments.estimate, &arguments.truth])?;
     }
@@ -104,6 +108,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             times: arguments.truth_times.clone(),
         },
     )?;
+    context.check_stop()?;
     let estimate = read_trajectory(
         &arguments.estimate,
         &ReadOptions {
@@ -113,13 +118,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             times: arguments.estimate_times.clone(),
         },
     )?;
-    let config = config(arguments);
+    context.check_stop()?;
     let evaluation = super::about(
         &arguments.estimate,
         evaluate_files(&truth, &estimate, &config),
     )?;
     let name = arguments.estimate.file_name().unwrap_or_default();
     let name = printable(&name.to_string_lossy());
+    context.check_stop()?;
     if let Some(page) = &arguments.out {
         Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth.poses)).write(page)?;
     }

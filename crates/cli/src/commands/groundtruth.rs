@@ -20,6 +20,7 @@ use super::groundtruth_page::WalkPage;
 use super::models::ModelFolder;
 use super::surroundings::Surroundings;
 use super::walk_files::WalkFiles;
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -99,11 +100,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for other in &arguments.with {
         let is_same = |path: &&Path| files::is_same(path, other) || files::is_copy(path, other);
         if let Some(same) = read.iter().find(|path| is_same(path)) {
-            bail!(
+            bail!(BadArgument::new(format!(
                 "{}: --with takes other walks, each once, but this is {}: solving a walk with itself adds nothing",
                 other.display(),
                 same.display()
-            );
+            )));
         }
         read.push(other);
     }

@@ -11,6 +11,7 @@ use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
 use super::map_surface::{check_source, expect_sound, insert_scans};
 use crate::context::Context;
+use crate::existing::expect_free_folder;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
@@ -63,6 +64,8 @@ fn settings() -> String {
     format!("Settings of --config and their defaults:\n\n{settings}")
 }
 
+/// Folders of the images.
+const KINDS: [&str; 2] = ["depth", "normals"];
 /// Depths are written in millimetres, 16 bits.
 const MM_PER_M: f32 = 1000.0;
 
@@ -74,6 +77,9 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     read.extend(arguments.poses.as_deref());
     read.extend(arguments.rig.as_deref());
     context.claim(&arguments.out, &read)?;
+    for kind in KINDS {
+        expect_free_folder(&arguments.out.join(kind), context.force())?;
+    }
     let mut provenance = Provenance::new(&(&config, arguments.every, &arguments.cameras));
     for path in read.iter().take(2 + usize::from(arguments.poses.is_some())) {
         provenance.add_input(path)?;
@@ -157,9 +163,14 @@ fn write_all(
         .step_by(arguments.every as usize)
         .collect();
     let total = (chosen.len() * rig.cameras.len()) as u64;
+    for old in KINDS.map(|kind| arguments.out.join(kind)) {
+        if old.is_dir() {
+            crate::files::about(&old, std::fs::remove_dir_all(&old))?;
+        }
+    }
     let mut shares = Vec::new();
     for (name, mounted) in &rig.cameras {
-        let folders = ["depth", "normals"].map(|kind| arguments.out.join(kind).join(name));
+        let folders = KINDS.map(|kind| arguments.out.join(kind).join(name));
         for folder in &folders {
             std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }

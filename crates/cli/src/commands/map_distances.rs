@@ -14,6 +14,7 @@ use lsfb_recording::{Provenance, read_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
@@ -223,7 +224,8 @@ pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::R
     let config = MarkConfig {
         click_sigma_px: arguments.click_sigma_px,
     };
-    config.check_bounds("")?;
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
     let mut read: Vec<&Path> = vec![&arguments.marks];
     read.extend(arguments.survey.as_deref());
     read.extend(arguments.trajectory.as_deref());

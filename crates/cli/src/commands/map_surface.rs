@@ -96,10 +96,11 @@ fn provenance_of(result: &Path) -> Option<Provenance> {
     serde_json::from_str(&text).ok()
 }
 
-fn provenance_path(result: &Path) -> PathBuf {
-    let mut beside = result.as_os_str().to_owned();
-    beside.push(".provenance.json");
-    PathBuf::from(beside)
+/// Where what a result was made from is told.
+pub fn provenance_path(result: &Path) -> PathBuf {
+    let mut name = result.file_name().unwrap_or_default().to_os_string();
+    name.push(".provenance.json");
+    result.with_file_name(name)
 }
 
 #[cfg(test)]

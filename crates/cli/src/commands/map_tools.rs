@@ -20,6 +20,7 @@ use super::map_prune::{PruneArguments, prune};
 use super::map_scans::{ScansArguments, scans};
 #[cfg(feature = "view")]
 use super::map_view::{ViewArguments, view};
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -367,10 +368,9 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
         min: arguments.min_m,
         max: arguments.max_m,
     };
-    anyhow::ensure!(
-        region.contains(&region.min),
-        "--min-m exceeds --max-m: give the smallest coordinates first"
-    );
+    let named = [("min", "--min-m"), ("max", "--max-m")];
+    let checked = region.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
     let part = map.crop(&region, &IndexConfig::default(), &|p| context.show(p))?;

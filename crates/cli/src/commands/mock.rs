@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "sidecar_messages": sent.sidecar_messages,
         "unreadable": sent.unreadable,
     });
-    context.print(&report, || {
+    context.print_ended(&report, || {
         let mut text = format!(
             "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} chunks of the IMU's stream, {} sidecar messages",
             source.display(),

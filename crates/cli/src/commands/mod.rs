@@ -70,6 +70,7 @@ use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, Recording};
 use serde::de::DeserializeOwned;
 
+use crate::bad_argument::BadArgument;
 use crate::files::{about, expect_file, name_of, write};
 
 /// A seed, which is no negative number.
@@ -125,11 +126,14 @@ fn rig_for(
 /// The rig with the cameras that were named, or with all of its own.
 fn with_cameras(mut rig: Rig, names: &[String]) -> anyhow::Result<Rig> {
     for name in names {
+        let known = || rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ");
         anyhow::ensure!(
             rig.cameras.contains_key(name),
-            "rig {} has no camera {name}: it has {}",
-            rig.name,
-            rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
+            BadArgument::new(format!(
+                "--camera {name}: rig {} has no such camera: it has {}",
+                rig.name,
+                known()
+            ))
         );
     }
     if !names.is_empty() {

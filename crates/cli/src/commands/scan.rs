@@ -128,8 +128,8 @@ struct LidarArguments {
     /// a pcap capture is recorded, as lidar, lidar2, … in order of appearance.
     #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
     lidar_sender: Vec<Sender>,
-    /// UDP ports of the LiDAR in a pcap capture, separated by commas.
-    #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = any_lidar::factory_ports(), requires = "pcap")]
+    /// UDP ports of the LiDAR in a pcap capture, separated by commas or once for each.
+    #[arg(long = "lidar-port", alias = "lidar-ports", value_name = "PORT", value_delimiter = ',', default_values_t = any_lidar::factory_ports(), requires = "pcap")]
     lidar_ports: Vec<u16>,
 }
 
@@ -246,7 +246,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             return record_on_demand(arguments, &devices, &live, context);
         }
         let recorded = live.record(&devices, &arguments.out, context)?;
-        context.print(&recorded, || text_of_live(&recorded))?;
+        context.print_ended(&recorded, || text_of_live(&recorded))?;
         return Ok(outcome([&recorded.capture]));
     }
     let show = |p| context.show(p);
@@ -281,7 +281,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let _ = write!(why, "; the packets are in {}", report.path.display());
         }
         let none = Finding::new("no-scans", Verdict::Fail, "", why)
-            .remedy("check --lidar-ports, --lidar-model and which sensor was captured");
+            .remedy("check --lidar-port, --lidar-model and which sensor was captured");
         return Err(Refused(none).into());
     }
     print(&report, context)
@@ -405,7 +405,7 @@ fn record_on_demand(
             }
         }
     }
-    context.print(&reports, || match reports.len() {
+    context.print_ended(&reports, || match reports.len() {
         0 => "nothing was recorded".to_owned(),
         n => format!("{n} recordings"),
     })?;

@@ -12,6 +12,7 @@ use lsfb_drivers::sidecar::credentials::{PairingCode, to_hex};
 use lsfb_drivers::sidecar::sensor_logger::PushUnits;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
@@ -261,14 +262,12 @@ impl Play {
         let device = match (&self.device, playback.sidecars()) {
             (Some(name), known) if known.contains(name) => name.clone(),
             (None, [only]) => only.clone(),
-            (_, known) => bail!(
+            (_, []) => bail!("{}: it has no phone", self.recording.display()),
+            (_, known) => bail!(BadArgument::new(format!(
                 "{}: choose one of its phones with --device: {}",
                 self.recording.display(),
-                match known.len() {
-                    0 => "there is none".to_owned(),
-                    _ => known.join(", "),
-                }
-            ),
+                known.join(", ")
+            ))),
         };
         let mut addresses = self
             .code
@@ -300,7 +299,7 @@ impl Play {
             "messages": sent.sidecar_messages,
             "unreadable": sent.unreadable,
         });
-        context.print(&report, || {
+        context.print_ended(&report, || {
             format!(
                 "{}: {} messages sent and stored",
                 self.recording.display(),

@@ -333,7 +333,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         seed: config.seed,
         recordings,
     };
-    context.print(&made, || {
+    context.print_ended(&made, || {
         let mut text = format!(
             "{}: rigs, truth and settings of seed {}",
             made.folder.display(),

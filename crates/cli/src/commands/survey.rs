@@ -11,6 +11,7 @@ use lsfb_geometry::StampedPose;
 use lsfb_types::{Bounds, Finding, Judgement, OutOfBounds, Verdict};
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
@@ -134,24 +135,23 @@ struct Checked {
 }
 
 fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
-    let survey = read_survey(&arguments.survey)?;
     let config = RestConfig {
         spread_m: arguments.rest_spread_m,
         least_secs: arguments.rest_secs,
         ..RestConfig::default()
     };
-    config.check_bounds("").map_err(|error| OutOfBounds {
-        field: match error.field.as_str() {
-            "spread_m" => "--rest-spread-m".to_owned(),
-            "least_secs" => "--rest-secs".to_owned(),
-            other => other.to_owned(),
-        },
-        ..error
-    })?;
     let reach_m = arguments.reach_m;
-    if !Bounds::POSITIVE.hold(reach_m) {
-        return Err(OutOfBounds::new("", "--reach-m", &reach_m, &Bounds::POSITIVE).into());
-    }
+    let reach = match Bounds::POSITIVE.hold(reach_m) {
+        true => Ok(()),
+        false => Err(OutOfBounds::new("", "reach_m", &reach_m, &Bounds::POSITIVE)),
+    };
+    let named = [
+        ("spread_m", "--rest-spread-m"),
+        ("least_secs", "--rest-secs"),
+    ];
+    let checked = config.check_bounds("").and(reach);
+    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
+    let survey = read_survey(&arguments.survey)?;
     let mut findings = Vec::new();
     let mut solved = None;
     let at_marks = arguments.trajectory.as_ref().map(|path| {
@@ -204,6 +204,7 @@ fn draw(
         return Ok(());
     };
     context.claim(out, &[survey])?;
+    context.check_stop()?;
     write(out, view.page(&name_of(survey), judgement))
 }
 

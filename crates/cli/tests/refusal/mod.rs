@@ -43,6 +43,12 @@ pub fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
     assert!(found.get("verdict").is_none(), "{found}");
 }
 
+/// The same of arguments that are refused by their values.
+pub fn badly_asked(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let found = fails(folder, arguments, words, 2);
+    assert!(found.get("verdict").is_none(), "{found}");
+}
+
 /// The same of one that finds its data unfit; gives the finding.
 pub fn found_unfit(folder: &Path, arguments: &[&str], words: &[&str]) -> Value {
     let found = fails(folder, arguments, words, 4);

@@ -35,7 +35,7 @@ pub use plan::{DatasetPlan, Device, Environment, Gait, Gaze, Motion, PerDevice, 
 pub use plausible::{judge_measured, judge_planned};
 pub use sequence::{SequenceFigures, measure};
 pub use session::{LamarSession, lamar_session};
-pub use sums::{Difference, check_sums, write_sums};
+pub use sums::{Difference, SUMS, check_sums, write_sums};
 pub use tables::{cameras_table, environments_table, motion_classes_table, motions_table};
 
 #[cfg(test)]

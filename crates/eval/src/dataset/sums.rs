@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::Error;
 
 /// Name of the file.
-const SUMS: &str = "SHA256SUMS";
+pub const SUMS: &str = "SHA256SUMS";
 /// Larger files are no list of hashes.
 const MAX_BYTES: u64 = 64 << 20;
 /// Hexadecimal digits of a hash.

@@ -249,8 +249,11 @@ pub enum Error {
         /// The layout.
         layout: &'static str,
     },
-    /// The caller asked for an early end.
+    /// A setting outside its bounds.
     #[error(transparent)]
+    Setting(#[from] lsfb_types::OutOfBounds),
+    /// The caller asked for an early end.
+    #[error("{0}")]
     Stopped(#[from] lsfb_types::Stopped),
     /// Least squares had no answer.
     #[error("{}", self.message())]
@@ -361,27 +364,11 @@ pub enum Error {
         /// Its unit.
         unit: DeltaUnit,
     },
-    /// A delta that means nothing.
-    #[error("delta {delta} {unit} is out of range: {expected}")]
-    BadDelta {
-        /// The delta asked for.
-        delta: f64,
-        /// Its unit.
-        unit: DeltaUnit,
-        /// What is allowed.
-        expected: &'static str,
-    },
     /// A relation that is defined for pairs of pairs only.
     #[error("{relation} is defined for relative errors only")]
     RelativeOnly {
         /// The relation asked for.
         relation: PoseRelation,
-    },
-    /// The maximal stamp difference is negative or not finite.
-    #[error("the maximum stamp difference {value} s must be a number of seconds, zero or more")]
-    BadMaxDifference {
-        /// Value given, seconds.
-        value: f64,
     },
 }
 

@@ -1,7 +1,10 @@
 //! How a trajectory is judged.
 
+use lsfb_types::Bounds;
+
 use crate::alignment::AlignmentMode;
-use crate::pairs::PairSelection;
+use crate::association::MAX_DIFFERENCE;
+use crate::pairs::{PairSelection, RpeConfig};
 use crate::read::Orientations;
 use crate::recall::Threshold;
 use crate::relation::DeltaUnit;
@@ -14,17 +17,6 @@ pub enum DuplicateStamps {
     Keep,
     /// They are an error.
     Refuse,
-}
-
-/// One relative error to compute.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RpeConfig {
-    /// How far apart the two poses of a pair are.
-    pub delta: f64,
-    /// What `delta` counts.
-    pub unit: DeltaUnit,
-    /// Which pairs are taken.
-    pub selection: PairSelection,
 }
 
 /// How a trajectory is judged.
@@ -64,5 +56,18 @@ impl Default for EvalConfig {
             recall: Threshold::USUAL.to_vec(),
             coverage_gap_secs: 1.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    EvalConfig {
+        max_difference_secs: number(MAX_DIFFERENCE),
+        alignment: any,
+        duplicates: any,
+        orientations: any,
+        rpe: sections,
+        rpe_where_possible: sections,
+        recall: any,
+        coverage_gap_secs: number(Bounds::POSITIVE),
     }
 }

@@ -22,7 +22,7 @@ use crate::relation::PoseRelation;
 use crate::smoothness::smoothness;
 use crate::{Error, Statistics};
 
-pub use config::{DuplicateStamps, EvalConfig, RpeConfig};
+pub use config::{DuplicateStamps, EvalConfig};
 pub use coverage::{Coverage, Relocalization};
 pub use figures::{AlignedError, Evaluation, PoseError, RpeFigures, SmoothnessFigures};
 
@@ -81,6 +81,7 @@ fn judge(
     covariances: &[Matrix6<f64>],
     config: &EvalConfig,
 ) -> Result<Evaluation, Error> {
+    config.check_bounds("")?;
     let duplicate_stamps =
         check(truth, "truth", config.duplicates)? + check(estimate, "estimate", config.duplicates)?;
     let pairs = associate(truth, estimate, config.max_difference_secs)?;

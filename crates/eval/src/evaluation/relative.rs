@@ -3,11 +3,11 @@
 use lsfb_geometry::StampedPose;
 use lsfb_types::{Finding, Limit, Verdict, median};
 
-use super::{RpeConfig, RpeFigures, statistics};
+use super::{RpeFigures, statistics};
 use crate::Error;
 use crate::association::PosePair;
 use crate::metrics::{RelativeSpec, errors_of};
-use crate::pairs::{CONSECUTIVE_TOLERANCE, select};
+use crate::pairs::{CONSECUTIVE_TOLERANCE, RpeConfig, select};
 use crate::read::Orientations;
 use crate::relation::{DeltaUnit, PoseRelation};
 

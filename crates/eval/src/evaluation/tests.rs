@@ -1,6 +1,6 @@
 use super::*;
 use crate::Threshold;
-use crate::pairs::PairSelection;
+use crate::pairs::{PairSelection, RpeConfig};
 use crate::relation::DeltaUnit;
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6};
 use lsfb_types::{Timestamp, Verdict};

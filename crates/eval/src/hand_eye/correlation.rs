@@ -1,5 +1,7 @@
 //! By how much two clocks differ: where the angular speeds of two bodies that are one are most alike.
 
+use lsfb_types::{Progress, ProgressFn};
+
 use super::continuous::Continuous;
 use crate::Error;
 
@@ -38,6 +40,7 @@ pub(super) fn correlate(
     reference: &Continuous,
     around_secs: f64,
     search_secs: f64,
+    progress: ProgressFn<'_>,
 ) -> Result<Correlated, Error> {
     for (role, of) in [("estimate", estimate), ("reference", reference)] {
         let span_secs = of.span_secs().map_or(0.0, |[start, end]| end - start);
@@ -58,8 +61,15 @@ pub(super) fn correlate(
         shift(around_secs - search_secs),
         shift(around_secs + search_secs),
     );
-    let found: Vec<(i64, Option<f64>)> =
-        (low..=high).map(|s| (s, correlation(&a, &b, s))).collect();
+    let mut found: Vec<(i64, Option<f64>)> = Vec::new();
+    for s in low..=high {
+        progress(Progress {
+            stage: "searching the clock offset",
+            done: (s - low) as u64,
+            total: (high - low + 1) as u64,
+        })?;
+        found.push((s, correlation(&a, &b, s)));
+    }
     let best = found
         .iter()
         .filter_map(|(s, c)| Some((*s, (*c)?)))

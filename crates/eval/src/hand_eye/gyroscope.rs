@@ -2,12 +2,12 @@
 //! the clocks. Two recordings that share no network and no light have one clock so, if both were once turned together.
 
 use lsfb_geometry::{IntegratedGyro, Matrix3, Se3, StampedPose, UnitQuaternion, Vector3, so3};
-use lsfb_types::{Finding, Limit, Timestamp, Verdict};
+use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
 use serde::Serialize;
 
-use super::HandEyeConfig;
 use super::continuous::Continuous;
 use super::correlation::correlate;
+use super::{HandEyeConfig, show_round};
 use crate::Error;
 
 /// Rates are compared where this much of them lies around, seconds: white noise averages out.
@@ -65,9 +65,10 @@ pub fn align_gyroscopes(
     first: &[GyroSample],
     second: &[GyroSample],
     config: &HandEyeConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<GyroAlignment, Error> {
     let base = first.first().map_or(Timestamp::from_nanos(0), |s| s.time);
-    let mut found = align_gyroscope(&integrated(first, base), second, config)?;
+    let mut found = align_gyroscope(&integrated(first, base), second, config, progress)?;
     found.findings.extend(other_unit(first, second));
     Ok(found)
 }
@@ -95,7 +96,9 @@ pub fn align_gyroscope(
     poses: &[StampedPose],
     samples: &[GyroSample],
     config: &HandEyeConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<GyroAlignment, Error> {
+    config.check_bounds("")?;
     let (Some(first), false) = (poses.first(), samples.is_empty()) else {
         return Err(Error::TooFewPoses {
             role: "estimate",
@@ -110,13 +113,16 @@ pub fn align_gyroscope(
         &gyroscope,
         config.offset_guess_secs,
         config.search_secs,
+        progress,
     )?;
     let [start, end] = body.span_secs().unwrap_or([0.0, 0.0]);
     let middle = 0.5 * (start + end);
-    let offset_secs = best_offset(&body, &gyroscope, [start, end], found.offset_secs)?;
+    let best_offset = |span, around| best_offset(&body, &gyroscope, span, around, progress);
+    let offset_secs = best_offset([start, end], found.offset_secs)?;
     let best = align_rates(&body, &gyroscope, [start, end], offset_secs)?;
-    let halves = [[start, middle], [middle, end]]
-        .map(|span| best_offset(&body, &gyroscope, span, offset_secs).ok());
+    let halves = [[start, middle], [middle, end]].map(|span| best_offset(span, offset_secs).ok());
+    // A half that was stopped is not one that determines nothing.
+    show_round(REFINEMENTS, REFINEMENTS, progress)?;
     let halves_apart_secs = halves[1].zip(halves[0]).map(|(late, early)| late - early);
     // The difference of two halves has twice the standard deviation of the whole.
     let of_halves = halves_apart_secs.map_or(0.0, |apart| 0.5 * apart.abs());
@@ -139,13 +145,15 @@ fn best_offset(
     gyroscope: &Continuous,
     span_secs: [f64; 2],
     around_secs: f64,
+    progress: ProgressFn<'_>,
 ) -> Result<f64, Error> {
     let rms = |offset_secs: f64| {
         align_rates(body, gyroscope, span_secs, offset_secs).map(|found| found.rms_rad_s)
     };
     let golden = 0.5 * (5.0f64.sqrt() - 1.0);
     let (mut low, mut high) = (around_secs - 0.1, around_secs + 0.1);
-    for _ in 0..REFINEMENTS {
+    for round in 0..REFINEMENTS {
+        show_round(round, REFINEMENTS, progress)?;
         let (left, right) = (high - golden * (high - low), low + golden * (high - low));
         match rms(left)? < rms(right)? {
             true => high = right,
@@ -281,6 +289,7 @@ mod tests {
     use super::super::continuous::tests::motion;
     use super::super::tests::normal;
     use super::*;
+    use lsfb_types::no_progress;
 
     const NOISE_RAD_S: f64 = 0.01;
 
@@ -314,8 +323,8 @@ mod tests {
         for (seed, offset_secs) in [(0, 3.217), (40_000, -8.4031), (90_000, 0.0004)] {
             let phone = samples(200.0, 40.0, UnitQuaternion::identity(), |t| t, seed);
             let rig = samples(100.0, 40.0, turn, |t| t + offset_secs, seed + 7);
-            let found =
-                align_gyroscopes(&phone, &rig, &HandEyeConfig::default()).expect("one body");
+            let found = align_gyroscopes(&phone, &rig, &HandEyeConfig::default(), &no_progress)
+                .expect("one body");
             let off_secs = (found.offset_secs - offset_secs).abs();
             assert!(off_secs < 1e-3, "{off_secs} {found:?}");
             assert!(found.sigma_offset_secs < 1e-3, "{found:?}");
@@ -339,7 +348,7 @@ mod tests {
             sample.rate_rad_s = sample.rate_rad_s.map(f64::to_degrees);
         }
         for (first, second) in [(&phone, &degrees), (&degrees, &phone)] {
-            match align_gyroscopes(first, second, &HandEyeConfig::default()) {
+            match align_gyroscopes(first, second, &HandEyeConfig::default(), &no_progress) {
                 Ok(found) => {
                     let named = found.findings.iter().find(|f| f.code == "unit");
                     let verdict = named.map(|f| f.verdict);
@@ -356,7 +365,7 @@ mod tests {
         let phone = samples(200.0, 40.0, UnitQuaternion::identity(), |t| t, 0);
         // 500 ppm: ten milliseconds from half to half.
         let drifting = samples(100.0, 40.0, UnitQuaternion::identity(), |t| 1.0005 * t, 5);
-        let found = align_gyroscopes(&phone, &drifting, &HandEyeConfig::default());
+        let found = align_gyroscopes(&phone, &drifting, &HandEyeConfig::default(), &no_progress);
         let found = found.expect("one body");
         let told = found.findings.iter().find(|f| f.code == "halves");
         assert!(
@@ -371,7 +380,7 @@ mod tests {
                 rate_rad_s: Vector3::from_fn(|k, _| normal(3 * (i / 20) + k)),
             })
             .collect();
-        let refused = align_gyroscopes(&phone, &other, &HandEyeConfig::default());
+        let refused = align_gyroscopes(&phone, &other, &HandEyeConfig::default(), &no_progress);
         assert!(refused.is_err(), "{refused:?}");
     }
 }

@@ -13,7 +13,7 @@ mod residual;
 mod truth;
 
 use lsfb_geometry::{Se3, StampedPose, Vector3, mean_position};
-use lsfb_types::Finding;
+use lsfb_types::{Bounds, Finding, Progress, ProgressFn, Stopped};
 use serde::Serialize;
 
 use crate::{Error, Statistics};
@@ -59,6 +59,19 @@ impl Default for HandEyeConfig {
         }
     }
 }
+
+lsfb_types::bounds! {
+    HandEyeConfig {
+        offset_guess_secs: number(OFFSET_SECS),
+        search_secs: number(SEARCH_SECS),
+        clock: any,
+    }
+}
+
+/// Offsets beyond are none of two stamps.
+const OFFSET_SECS: Bounds = Bounds::Within(-9e9, 9e9);
+/// An hour about the guess is some hundred thousand offsets to try.
+const SEARCH_SECS: Bounds = Bounds::Within(0.0, 3600.0);
 
 /// Poses fewer than this are no trajectory to align.
 const LEAST_POSES: usize = 20;
@@ -122,7 +135,9 @@ pub fn align_trajectories(
     estimate: &[StampedPose],
     reference: &[StampedPose],
     config: &HandEyeConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<HandEye, Error> {
+    config.check_bounds("")?;
     for (role, poses) in [("estimate", estimate), ("reference", reference)] {
         if poses.len() < LEAST_POSES {
             return Err(Error::TooFewPoses {
@@ -143,6 +158,7 @@ pub fn align_trajectories(
         &reference,
         config.offset_guess_secs,
         config.search_secs,
+        progress,
     )?;
     let interpolated = match estimate.median_step_secs < reference.median_step_secs {
         true => Interpolated::Estimate,
@@ -160,6 +176,7 @@ pub fn align_trajectories(
         start,
         found.offset_secs,
         config.clock,
+        progress,
     )?;
     let world = shift(&reference_middle) * refined.world * shift(&-estimate_middle);
     let mut found = HandEye {
@@ -182,6 +199,15 @@ pub fn align_trajectories(
     };
     found.findings = judge(&found, &refined, halves, sizes_m);
     Ok(found)
+}
+
+/// Says that the next round of an adjustment begins.
+fn show_round(done: usize, total: usize, progress: ProgressFn<'_>) -> Result<(), Stopped> {
+    progress(Progress {
+        stage: "adjusting the alignment",
+        done: done as u64,
+        total: total as u64,
+    })
 }
 
 /// How positions scatter about their mean, rms, metres.

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use lsfb_geometry::{Se3, Vector2, Vector6};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, covariance, solve_until_converged};
-use lsfb_types::median;
+use lsfb_types::{ProgressFn, median};
 
-use super::ClockModel;
 use super::closed_form::Pair;
 use super::continuous::Continuous;
 use super::residual::{BodyResidual, Interpolated};
+use super::{ClockModel, show_round};
 use crate::Error;
 
 /// The paper's Σ_N: 0.01 rad² and 0.003 m².
@@ -98,6 +98,7 @@ pub(super) fn refine(
     start: Pair,
     offset_secs: f64,
     clock: ClockModel,
+    progress: ProgressFn<'_>,
 ) -> Result<Halved, Error> {
     let (sparse, dense, to_dense_secs) = match interpolated {
         Interpolated::Reference => (estimate, reference, offset_secs),
@@ -134,7 +135,7 @@ pub(super) fn refine(
         body: start.reference_from_estimate_body,
         clock: Vector2::new(offset_secs, 0.0),
     };
-    let mut whole = without_outliers(&all, state, clock)?;
+    let mut whole = without_outliers(&all, state, clock, progress)?;
     if interpolated == Interpolated::Estimate {
         whole.middle_secs -= whole.offset_secs;
     }
@@ -144,40 +145,44 @@ pub(super) fn refine(
         body: whole.body,
         clock: Vector2::new(whole.offset_secs, 0.0),
     };
-    let half = |residuals| without_outliers(residuals, found, clock).ok();
+    let half = |residuals| without_outliers(residuals, found, clock, progress).ok();
     let halves = match clock {
         ClockModel::Constant => half(first).zip(half(second)),
         // Each half has its own middle, and no drift to speak of.
         ClockModel::Drifting => None,
     };
+    // A half that was stopped is not one that determines nothing.
+    show_round(ROUNDS, ROUNDS, progress)?;
     Ok(Halved {
         halves: halves.map(|(first, second)| first.apart(&second)),
         whole,
     })
 }
 
+/// Adjustments from a start to what fits, at most.
+const ROUNDS: usize = 5;
+
 /// From a start to what fits.
 fn without_outliers(
     all: &[BodyResidual],
     mut state: Unknowns,
     clock: ClockModel,
+    progress: ProgressFn<'_>,
 ) -> Result<Refined, Error> {
-    adjust(
-        all,
-        PAPER_SIGMAS,
-        Kernel::Cauchy { scale: 1.0 },
-        clock,
-        &mut state,
-    )?;
+    let mut rounds = 0..ROUNDS;
+    let mut adjust = |residuals: &[BodyResidual],
+                      sigmas: [f64; 2],
+                      kernel: Kernel,
+                      state: &mut Unknowns|
+     -> Result<Solved, Error> {
+        show_round(rounds.next().unwrap_or(ROUNDS), ROUNDS, progress)?;
+        adjust(residuals, sigmas, kernel, clock, state)
+    };
+    let robust = |scale| Kernel::Cauchy { scale };
+    adjust(all, PAPER_SIGMAS, robust(1.0), &mut state)?;
     for _ in 0..2 {
         let sigmas = sigmas(&errors(all, &state));
-        adjust(
-            all,
-            sigmas,
-            Kernel::Cauchy { scale: 3.0 },
-            clock,
-            &mut state,
-        )?;
+        adjust(all, sigmas, robust(3.0), &mut state)?;
     }
     let found = errors(all, &state);
     let limits = sigmas(&found);
@@ -195,12 +200,12 @@ fn without_outliers(
             needed: LEAST_POSES,
         });
     }
-    let problem = adjust(&good, limits, Kernel::Squared, clock, &mut state)?;
+    let problem = adjust(&good, limits, Kernel::Squared, &mut state)?;
     let found = errors(&good, &state);
     let final_sigmas = deviations(&found);
     let problem = match final_sigmas == limits {
         true => problem,
-        false => adjust(&good, final_sigmas, Kernel::Squared, clock, &mut state)?,
+        false => adjust(&good, final_sigmas, Kernel::Squared, &mut state)?,
     };
     let factor = correlation_factor(&found);
     let (sigma_world, sigma_body, sigma_clock) = problem.sigmas(factor)?;

@@ -1,7 +1,7 @@
 use super::continuous::tests::{motion, sampled};
 use super::*;
 use lsfb_geometry::{Vector6, so3};
-use lsfb_types::{Timestamp, Verdict};
+use lsfb_types::{Timestamp, Verdict, no_progress};
 
 /// Repeatable, nearly normal numbers of σ 1.
 pub fn normal(i: usize) -> f64 {
@@ -82,8 +82,13 @@ fn gnss_beside_glasses_to_a_centimetre_and_a_millisecond() {
             0.005,
             seed + 9,
         );
-        let found =
-            align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+        let found = align_trajectories(
+            &estimate,
+            &reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        )
+        .expect("aligned");
         let [angle_deg, distance_m, offset_off_secs] = setup.errors(&found);
         assert!(
             angle_deg < 0.1 && distance_m < 0.01 && offset_off_secs < 1e-3,
@@ -118,8 +123,13 @@ fn motion_capture_to_two_millimetres() {
     let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.004, 3);
     // Markers: 0.2 mm, over a body of 10 cm 0.1°.
     let reference = shaken(&setup.reference(120.0, 60.0, motion), 0.002, 0.0002, 77);
-    let found =
-        align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+    let found = align_trajectories(
+        &estimate,
+        &reference,
+        &HandEyeConfig::default(),
+        &no_progress,
+    )
+    .expect("aligned");
     let [angle_deg, distance_m, offset_off_secs] = setup.errors(&found);
     assert!(
         angle_deg < 0.2 && distance_m < 0.002 && offset_off_secs < 1e-3,
@@ -141,8 +151,13 @@ fn dropped_and_swapped_markers_do_no_harm() {
     }
     reference.drain(2000..2300);
     reference.drain(6000..6100);
-    let found =
-        align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+    let found = align_trajectories(
+        &estimate,
+        &reference,
+        &HandEyeConfig::default(),
+        &no_progress,
+    )
+    .expect("aligned");
     let [angle_deg, distance_m, offset_off_secs] = setup.errors(&found);
     assert!(
         angle_deg < 0.2 && distance_m < 0.002 && offset_off_secs < 1e-3,
@@ -168,8 +183,13 @@ fn one_axis_is_refused() {
     let setup = Setup::new(0.2);
     let estimate = shaken(&sampled(30.0, 60.0, flat), 0.0005, 0.005, 3);
     let reference = setup.reference(100.0, 60.0, flat);
-    let refused =
-        align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect_err("flat");
+    let refused = align_trajectories(
+        &estimate,
+        &reference,
+        &HandEyeConfig::default(),
+        &no_progress,
+    )
+    .expect_err("flat");
     assert!(matches!(refused, Error::OneAxis { .. }), "{refused}");
 }
 
@@ -185,7 +205,7 @@ fn a_clock_that_drifts_is_followed() {
         clock: ClockModel::Drifting,
         ..HandEyeConfig::default()
     };
-    let found = align_trajectories(&estimate, &reference, &config).expect("aligned");
+    let found = align_trajectories(&estimate, &reference, &config, &no_progress).expect("aligned");
     assert!((found.drift - 2e-4).abs() < 2e-5, "{}", found.drift);
     assert!(setup.errors(&found)[1] < 0.002);
 }
@@ -195,8 +215,13 @@ fn halves_that_contradict_each_other_are_told() {
     let verdict = |setup: &Setup, seed: usize| {
         let estimate = shaken(&sampled(30.0, 60.0, motion), 0.0005, 0.002, seed);
         let reference = setup.reference(100.0, 60.0, motion);
-        let found =
-            align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+        let found = align_trajectories(
+            &estimate,
+            &reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        )
+        .expect("aligned");
         let halves = found.findings.iter().find(|f| f.code == "halves");
         halves.expect("compared").verdict
     };
@@ -227,8 +252,13 @@ fn a_mount_that_slips_and_a_clock_that_jumps_are_no_truth() {
         let mut estimate = shaken(&sampled(30.0, 60.0, motion), 0.0005, 0.002, 3);
         let half = estimate.len() / 2;
         estimate[half..].iter_mut().for_each(change);
-        let found =
-            align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+        let found = align_trajectories(
+            &estimate,
+            &reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        )
+        .expect("aligned");
         let failed = found.findings.iter().filter(|f| f.verdict == Verdict::Fail);
         failed.map(|f| f.code.to_string()).collect()
     };
@@ -256,7 +286,12 @@ fn poses_at_which_the_reference_jumps_are_no_truth() {
                 swapped += 1;
             }
         }
-        let found = align_trajectories(&estimate, &reference, &HandEyeConfig::default());
+        let found = align_trajectories(
+            &estimate,
+            &reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        );
         (found, reference, swapped)
     };
     let (found, reference, swapped) = swapped_for(576);
@@ -287,8 +322,8 @@ fn poses_at_which_the_reference_jumps_are_no_truth() {
         pose.world_from_rig.translation.x += 1.0;
     }
     let reference = shaken(&setup.reference(120.0, 60.0, motion), 0.002, 0.0002, 77);
-    let found =
-        align_trajectories(&jumped, &reference, &HandEyeConfig::default()).expect("aligned");
+    let found = align_trajectories(&jumped, &reference, &HandEyeConfig::default(), &no_progress)
+        .expect("aligned");
     assert!(found.outliers > 250);
     let truth = found.as_truth(&jumped, &reference);
     assert_eq!((truth.left_out, truth.finding()), (0, None));
@@ -300,7 +335,13 @@ fn what_is_not_one_body_is_refused() {
     let estimate = sampled(30.0, 60.0, motion);
     let other = |t: f64| motion(1.7 * t + 300.0 + 3.0 * (0.37 * t).sin());
     let refused = |reference: &[StampedPose]| {
-        align_trajectories(&estimate, reference, &HandEyeConfig::default()).expect_err("refused")
+        align_trajectories(
+            &estimate,
+            reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        )
+        .expect_err("refused")
     };
     let stranger = refused(&setup.reference(100.0, 60.0, other));
     assert!(
@@ -330,6 +371,7 @@ fn what_is_not_one_body_is_refused() {
         &periodic,
         &setup.reference(100.0, 60.0, circle),
         &HandEyeConfig::default(),
+        &no_progress,
     );
     assert!(matches!(twice, Err(Error::TwoOffsets { .. })), "{twice:?}");
 }
@@ -341,8 +383,13 @@ fn far_from_the_origin_nothing_changes() {
     setup.world.translation += Vector3::new(458_074.6, 5_429_380.2, 162.9);
     let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.004, 3);
     let reference = setup.reference(100.0, 60.0, motion);
-    let found =
-        align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+    let found = align_trajectories(
+        &estimate,
+        &reference,
+        &HandEyeConfig::default(),
+        &no_progress,
+    )
+    .expect("aligned");
     let [angle_deg, distance_m, _] = setup.errors(&found);
     assert!(angle_deg < 0.1 && distance_m < 0.005);
     let place = setup.world * Vector3::new(1.0, 2.0, 0.5);
@@ -365,7 +412,8 @@ fn a_gyroscope_is_aligned() {
             }
         })
         .collect();
-    let found = align_gyroscope(&poses, &samples, &HandEyeConfig::default()).expect("aligned");
+    let found = align_gyroscope(&poses, &samples, &HandEyeConfig::default(), &no_progress)
+        .expect("aligned");
     let rotation = lsfb_geometry::UnitQuaternion::new_normalize(nalgebra::Quaternion::from_vector(
         found.rotation_xyzw.into(),
     ));
@@ -388,7 +436,12 @@ fn another_unit_and_another_order_of_the_quaternion_are_named() {
         for pose in &mut estimate {
             change(&mut pose.world_from_rig);
         }
-        match align_trajectories(&estimate, &reference, &HandEyeConfig::default()) {
+        match align_trajectories(
+            &estimate,
+            &reference,
+            &HandEyeConfig::default(),
+            &no_progress,
+        ) {
             Ok(found) => {
                 let failed = found.findings.iter().filter(|f| f.verdict == Verdict::Fail);
                 failed.map(|f| f.code.to_string()).collect()
@@ -417,7 +470,8 @@ fn a_mirror_image_and_the_reference_itself_are_named() {
     let reference = setup.reference(100.0, 60.0, motion);
     let estimate = shaken(&sampled(30.0, 60.0, motion), 0.001, 0.003, 3);
     let codes = |estimate: &[StampedPose], reference: &[StampedPose]| -> Vec<String> {
-        let found = align_trajectories(estimate, reference, &HandEyeConfig::default());
+        let found =
+            align_trajectories(estimate, reference, &HandEyeConfig::default(), &no_progress);
         let found = found.expect("aligned").findings.into_iter();
         let told = found.filter(|f| f.verdict >= Verdict::Warn);
         told.map(|f| f.code.to_string()).collect()

@@ -1,6 +1,7 @@
 //! Which two poses a relative error compares.
 
 use lsfb_geometry::{Se3, StampedPose, so3};
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::Serialize;
 
 use crate::Error;
@@ -16,6 +17,51 @@ pub enum PairSelection {
     /// A pair may begin at every pose; its delta may be off by [`ALL_PAIRS_TOLERANCE`].
     All,
 }
+
+/// One relative error to compute.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RpeConfig {
+    /// How far apart the two poses of a pair are.
+    pub delta: f64,
+    /// What `delta` counts.
+    pub unit: DeltaUnit,
+    /// Which pairs are taken.
+    pub selection: PairSelection,
+}
+
+lsfb_types::bounds! {
+    RpeConfig {
+        delta: number(Bounds::POSITIVE),
+        unit: any,
+        selection: any,
+    }
+    also is_of_its_unit
+}
+
+impl RpeConfig {
+    /// Frames are counted, and no rotation is more than half a turn.
+    fn is_of_its_unit(&self, section: &str) -> Result<(), OutOfBounds> {
+        let (bounds, is) = match self.unit {
+            DeltaUnit::Frames => (
+                Bounds::MultipleOf(1.0, 1.0, MOST_FRAMES),
+                "a whole number of frames, 1 or more",
+            ),
+            DeltaUnit::Metres | DeltaUnit::Seconds => return Ok(()),
+            DeltaUnit::Degrees => (Bounds::Within(0.0, 180.0), "180 degrees or less"),
+            DeltaUnit::Radians => (
+                Bounds::Within(0.0, std::f64::consts::PI),
+                "pi radians or less",
+            ),
+        };
+        match bounds.hold(self.delta) {
+            true => Ok(()),
+            false => Err(OutOfBounds::new(section, "delta", &self.delta, &is)),
+        }
+    }
+}
+
+/// Beyond it not every whole number is a double.
+const MOST_FRAMES: f64 = 1e15;
 
 /// By how much of the delta a pair of [`PairSelection::All`] may miss it.
 pub const ALL_PAIRS_TOLERANCE: f64 = 0.1;
@@ -55,7 +101,12 @@ pub fn select(
     unit: DeltaUnit,
     selection: PairSelection,
 ) -> Result<Selected, Error> {
-    check(delta, unit)?;
+    let asked = RpeConfig {
+        delta,
+        unit,
+        selection,
+    };
+    asked.check_bounds("rpe")?;
     let mut left_out = 0;
     let pairs = match (unit, selection) {
         (DeltaUnit::Frames, PairSelection::Consecutive) => {
@@ -128,33 +179,6 @@ fn deltas(
         DeltaUnit::Seconds => of_sums(seconds(poses)),
         DeltaUnit::Degrees => radians().into_iter().map(f64::to_degrees).collect(),
         DeltaUnit::Radians => radians(),
-    }
-}
-
-fn check(delta: f64, unit: DeltaUnit) -> Result<(), Error> {
-    let (valid, expected) = match unit {
-        DeltaUnit::Frames => (
-            (1.0..1e15).contains(&delta) && delta.fract() == 0.0,
-            "a whole number of frames, 1 or more",
-        ),
-        DeltaUnit::Metres | DeltaUnit::Seconds => (
-            delta > 0.0 && delta.is_finite(),
-            "a finite number above zero",
-        ),
-        DeltaUnit::Degrees => (delta > 0.0 && delta <= 180.0, "above 0 and up to 180"),
-        DeltaUnit::Radians => (
-            delta > 0.0 && delta <= std::f64::consts::PI,
-            "above 0 and up to pi",
-        ),
-    };
-    if valid {
-        Ok(())
-    } else {
-        Err(Error::BadDelta {
-            delta,
-            unit,
-            expected,
-        })
     }
 }
 

@@ -6,7 +6,6 @@ use lsfb_eval::hand_eye::{GyroAlignment, GyroSample, HandEyeConfig, align_gyrosc
 use lsfb_types::{Finding, Judgement};
 
 use super::super::inertial::ordered_samples;
-use super::Arguments;
 use crate::context::Context;
 use crate::files::name_of;
 use crate::judged::{Judged, lines};
@@ -16,18 +15,14 @@ use crate::outcome::Outcome;
 pub(super) fn run(
     imu: &Path,
     reference: &Path,
-    arguments: &Arguments,
+    config: &HandEyeConfig,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
     let mut findings = Vec::new();
     let first = rates(imu, context, &mut findings)?;
     let second = rates(reference, context, &mut findings)?;
-    let config = HandEyeConfig {
-        offset_guess_secs: arguments.offset_secs,
-        search_secs: arguments.search_secs,
-        ..HandEyeConfig::default()
-    };
-    let found = crate::commands::about(imu, align_gyroscopes(&first, &second, &config))?;
+    let found = align_gyroscopes(&first, &second, config, &|p| context.show(p));
+    let found = crate::commands::about(imu, found)?;
     findings.extend(found.findings.iter().cloned());
     let judgement = Judgement::new(findings);
     let name = name_of(imu);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_eval::hand_eye::{ClockModel, MocapAlignment, MocapConfig, align_mocap};
+use lsfb_eval::hand_eye::{HandEyeConfig, MocapAlignment, MocapConfig, align_mocap};
 use lsfb_types::Judgement;
 
 use super::super::inertial::{is_recording, ordered_samples};
@@ -15,6 +15,7 @@ use crate::outcome::Outcome;
 pub(super) fn run(
     imu: &Path,
     reference: &Path,
+    search: &HandEyeConfig,
     arguments: &Arguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
@@ -22,12 +23,9 @@ pub(super) fn run(
     let mut findings = reference.findings;
     let samples = ordered_samples(imu, context, &mut findings)?;
     let mut config = MocapConfig {
-        offset_guess_secs: arguments.offset_secs,
-        search_secs: arguments.search_secs,
-        clock: match arguments.drift {
-            true => ClockModel::Drifting,
-            false => ClockModel::Constant,
-        },
+        offset_guess_secs: search.offset_guess_secs,
+        search_secs: search.search_secs,
+        clock: search.clock,
         ..MocapConfig::default()
     };
     if is_recording(imu)
@@ -36,7 +34,9 @@ pub(super) fn run(
     {
         config.noise = imu.noise.clone();
     }
-    let found = crate::commands::about(imu, align_mocap(&reference.poses, &samples, &config))?;
+    let show = |p| context.show(p);
+    let found = align_mocap(&reference.poses, &samples, &config, &show);
+    let found = crate::commands::about(imu, found)?;
     findings.extend(found.findings.iter().cloned());
     finish(
         &Aligned {

@@ -12,6 +12,7 @@ use lsfb_recording::write_tum;
 use lsfb_types::Judgement;
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::files::name_of;
 use crate::judged::{Judged, lines};
@@ -87,28 +88,6 @@ pub struct Arguments {
 
 /// Aligns, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    anyhow::ensure!(
-        arguments.offset_secs.is_finite() && (0.0..=3600.0).contains(&arguments.search_secs),
-        "--offset-secs must be a finite number, and --search-secs one from 0 to 3600"
-    );
-    let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
-    let Some(input) = inputs.into_iter().flatten().next() else {
-        anyhow::bail!("give a trajectory, or IMU data with --imu");
-    };
-    if let Some(reference) = &arguments.reference_imu {
-        return gyroscopes::run(input, reference, arguments, context);
-    }
-    let Some(path) = &arguments.reference else {
-        anyhow::bail!("give a trajectory with --reference, or IMU data with --reference-imu");
-    };
-    if let Some(out) = &arguments.out {
-        context.claim(out, &[input, path])?;
-    }
-    if arguments.imu.is_some() {
-        return mocap::run(input, path, arguments, context);
-    }
-    let estimate = read(input)?;
-    let reference = read(path)?;
     let config = HandEyeConfig {
         offset_guess_secs: arguments.offset_secs,
         search_secs: arguments.search_secs,
@@ -117,7 +96,29 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             false => ClockModel::Constant,
         },
     };
-    let found = align_trajectories(&estimate.poses, &reference.poses, &config)?;
+    let named = [("offset_guess_secs", "--offset-secs")];
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
+    let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
+    let Some(input) = inputs.into_iter().flatten().next() else {
+        anyhow::bail!("give a trajectory, or IMU data with --imu");
+    };
+    if let Some(reference) = &arguments.reference_imu {
+        return gyroscopes::run(input, reference, &config, context);
+    }
+    let Some(path) = &arguments.reference else {
+        anyhow::bail!("give a trajectory with --reference, or IMU data with --reference-imu");
+    };
+    if let Some(out) = &arguments.out {
+        context.claim(out, &[input, path])?;
+    }
+    if arguments.imu.is_some() {
+        return mocap::run(input, path, &config, arguments, context);
+    }
+    let estimate = read(input)?;
+    let reference = read(path)?;
+    let show = |p| context.show(p);
+    let found = align_trajectories(&estimate.poses, &reference.poses, &config, &show)?;
     let mut findings = [estimate.findings, reference.findings].concat();
     findings.extend(found.findings.iter().cloned());
     let truth = found.as_truth(&estimate.poses, &reference.poses);
@@ -154,6 +155,7 @@ fn finish<T: Serialize>(
 ) -> anyhow::Result<Outcome> {
     let judgement = &aligned.judgement;
     let outcome = Outcome::of(judgement.verdict());
+    context.check_stop()?;
     // What must not be used is not written.
     if let Some(out) = arguments.out.as_ref().filter(|_| outcome == Outcome::Done) {
         write_tum(out, &Trajectory::new(truth()))?;

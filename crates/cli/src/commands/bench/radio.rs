@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use lsfb_eval::radio::{NeighbourConfig, judge_neighbours, read_table};
 use lsfb_types::Judgement;
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
@@ -36,7 +37,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         neighbours: arguments.neighbours,
         ..NeighbourConfig::default()
     };
-    config.check_bounds("")?;
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
     let mut walks = Vec::new();
     for (i, path) in arguments.walks.iter().enumerate() {
         let same = arguments.walks[..i]
@@ -44,9 +46,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .find(|other| crate::files::is_same(other, path));
         anyhow::ensure!(
             same.is_none(),
-            "{}: given twice: comparing a walk with itself finds every place exactly",
-            path.display()
+            BadArgument::new(format!(
+                "{}: given twice: comparing a walk with itself finds every place exactly",
+                path.display()
+            ))
         );
+        context.check_stop()?;
         walks.push(read_table(path)?);
     }
     let figures = judge_neighbours(&walks, &config)?;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_eval::dataset::{DatasetFolder, Description, Difference, TRUTH, check_sums};
+use lsfb_eval::dataset::{DatasetFolder, Description, Difference, SUMS, TRUTH, check_sums};
 use lsfb_recording::sha256_of;
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         findings.push(Finding::new("files", Verdict::Pass, "files", what));
     }
     let checked = Checked {
-        sums_sha256: sha256_of(&folder.path().join("SHA256SUMS"))?,
+        sums_sha256: sha256_of(&folder.path().join(SUMS))?,
         differences,
     };
     let judgement = Judgement::new(findings);
@@ -108,7 +108,7 @@ fn absent(folder: &DatasetFolder, description: &Description) -> Vec<Finding> {
 }
 
 fn of_the_truth(folder: &DatasetFolder, description: &Description) -> anyhow::Result<Finding> {
-    let own = sha256_of(&folder.truth().join("SHA256SUMS"))?;
+    let own = sha256_of(&folder.truth().join(SUMS))?;
     let is_same = own == description.truth_sums_sha256;
     let what = match is_same {
         true => "is the one named in dataset.toml",

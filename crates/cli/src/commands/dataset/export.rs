@@ -8,12 +8,15 @@ use lsfb_eval::slam_bench::{HiddenRegions, Layout, camera_name, export_without};
 use lsfb_eval::{euroc_text, read_poses};
 use lsfb_geometry::{Rig, Trajectory};
 use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
-use lsfb_recording::{Recording, message};
+use lsfb_recording::{Provenance, Recording, message};
 use lsfb_types::Timestamp;
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
+use crate::commands::map_surface::provenance_path;
 use crate::commands::map_tools::colmap_cameras;
 use crate::context::Context;
+use crate::existing::expect_free_folder;
 use crate::files::write;
 use crate::outcome::Outcome;
 
@@ -51,7 +54,7 @@ pub struct Arguments {
     hidden_regions: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 enum Program {
     Euroc,
     TumVi,
@@ -81,17 +84,24 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = &arguments.sequence;
     anyhow::ensure!(
         description.query(name).is_some(),
-        "the dataset has no sequence {name:?}"
+        BadArgument::new(format!("the dataset has no sequence {name:?}"))
     );
     let out = &arguments.out;
-    context.will_write(out);
+    let (walk, truth_path) = (folder.walk(name), folder.walk_truth(name));
+    let mut read = vec![arguments.dataset.as_path(), &walk, &truth_path];
+    read.extend(arguments.hidden_regions.as_deref());
+    context.claim_folder(out, &read)?;
+    // Whatever else is there is not thrown away, forced or not.
     anyhow::ensure!(
-        !out.exists(),
-        "{}: exists already: choose another name",
+        expect_free_folder(out, false).is_ok() || provenance_path(out).exists(),
+        "{}: has files that `lsfb dataset export` did not write: choose another name",
         out.display()
     );
-    let recording = context.open(&folder.walk(name))?;
-    let truth_path = folder.walk_truth(name);
+    let mut provenance = Provenance::new(&(name, arguments.format));
+    for path in read.iter().skip(1).filter(|path| path.exists()) {
+        provenance.add_input(path)?;
+    }
+    let recording = context.open(&walk)?;
     let truth = match truth_path.exists() {
         true => read_poses(&truth_path)?,
         false => Vec::new(),
@@ -126,6 +136,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "{}: there is no truth, which this format needs to place images or waypoints: use euroc or images",
         truth_path.display()
     );
+    if out.is_dir() {
+        crate::files::about(out, std::fs::remove_dir_all(out))?;
+    }
     let around = images.parent().unwrap_or(out);
     std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
     export_without(&recording, layout, &hidden, &images)?;
@@ -174,6 +187,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         lsfb_recording::write_tum(&out.join("truth.tum"), &truth)?;
     }
+    provenance.write(out)?;
     context.print(&exported, || {
         let mut text = format!("{}: {} true poses", out.display(), exported.true_poses);
         if exported.without_pose > 0 {

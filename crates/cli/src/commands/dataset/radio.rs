@@ -9,6 +9,7 @@ use lsfb_eval::{ReadOptions, read_trajectory};
 use lsfb_types::{Finding, Limit, Verdict, median};
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
@@ -73,7 +74,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         place_sigma_m: arguments.place_sigma_m,
         ..PlacingConfig::default()
     };
-    config.check_bounds("")?;
+    let checked = config.check_bounds("");
+    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
     let recording = context.open(&arguments.recording)?;
     let known = match &arguments.trajectory {
         Some(path) => of_trajectory(path, context)?,
@@ -113,6 +115,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let finding = refused("no-readings", what).remedy("check that both use one clock");
         return Err(Refused(finding).into());
     }
+    context.check_stop()?;
     write(out, table(&placed.readings))?;
     let of = |kind| placed.readings.iter().filter(|r| r.kind == kind).count();
     let squares: f64 = placed.readings.iter().map(|r| r.sigma_m * r.sigma_m).sum();

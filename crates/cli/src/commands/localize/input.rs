@@ -21,6 +21,7 @@ use super::folder;
 use super::frames::{self, Frame};
 use super::matches::Inliers;
 use super::unfinished::{Answer, Asked, Unfinished};
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 
 /// The map's folder and the path of what is localized.
@@ -29,9 +30,9 @@ pub fn resolve(arguments: &Arguments) -> anyhow::Result<(PathBuf, PathBuf)> {
     let named: Vec<&PathBuf> = named.chain(&arguments.posed_images).collect();
     match named[..] {
         [map, input] => Ok((map.clone(), input.clone())),
-        _ => anyhow::bail!(
+        _ => anyhow::bail!(BadArgument::new(
             "give one map and one walk or folder of images: lsfb localize MAP WALK.mcap, or lsfb localize MAP FOLDER"
-        ),
+        )),
     }
 }
 
@@ -64,8 +65,10 @@ impl Input {
         if path.is_file() {
             anyhow::ensure!(
                 arguments.rig.is_none() && arguments.every == 1,
-                "{}: --rig and --every are for folders of images; a walk contains its own rig",
-                path.display()
+                BadArgument::new(format!(
+                    "{}: --rig and --every are for folders of images; a walk contains its own rig",
+                    path.display()
+                ))
             );
             let walk = Box::new(context.open(path)?);
             let rig = Box::new(walk.rig()?);

@@ -17,6 +17,7 @@ use serde::Serialize;
 
 use super::map_settings;
 use super::models::ModelFolder;
+use crate::bad_argument::BadArgument;
 use crate::context::Context;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
@@ -222,7 +223,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 fn expect_frame(frame: usize, count: usize) -> anyhow::Result<()> {
     anyhow::ensure!(
         frame < count,
-        "--explain {frame}: there are {count} frames, counted from 0"
+        BadArgument::new(format!(
+            "--explain {frame}: there are {count} frames, counted from 0"
+        ))
     );
     Ok(())
 }

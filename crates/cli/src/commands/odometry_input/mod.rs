@@ -16,6 +16,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::commands::{about, expect_file};
 use crate::context::Context;
 pub use scratch::Scratch;
@@ -122,8 +123,10 @@ fn of_recording(
 fn expect_no_topics(choice: &Choice) -> anyhow::Result<()> {
     anyhow::ensure!(
         choice.imu.is_none() && choice.lidar.is_none(),
-        "--imu-topic and --lidar-topic name topics of a bag, but {} is not a bag",
-        choice.path.display()
+        BadArgument::new(format!(
+            "--imu-topic and --lidar-topic name topics of a bag, but {} is not a bag",
+            choice.path.display()
+        ))
     );
     Ok(())
 }

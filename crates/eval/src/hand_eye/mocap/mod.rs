@@ -11,11 +11,11 @@ mod motion;
 mod outcome;
 
 use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector3};
-use lsfb_types::{ImuSample, STANDARD_GRAVITY_M_S2, Stamped};
+use lsfb_types::{Bounds, ImuSample, OutOfBounds, ProgressFn, STANDARD_GRAVITY_M_S2, Stamped};
 
 use super::gyroscope::{GyroSample, align_gyroscope};
 use super::refine::{correlation_factor, deviations, sigmas};
-use super::{ClockModel, HandEyeConfig};
+use super::{ClockModel, HandEyeConfig, OFFSET_SECS, SEARCH_SECS, show_round};
 use crate::Error;
 use clock::{Clock, seen, within};
 use filter::{About, MarkerPose, Model, Smoothed, smooth};
@@ -56,6 +56,40 @@ impl Default for MocapConfig {
     }
 }
 
+lsfb_types::bounds! {
+    MocapConfig {
+        offset_guess_secs: number(OFFSET_SECS),
+        search_secs: number(SEARCH_SECS),
+        clock: any,
+        noise: any,
+    }
+    also has_noise
+}
+
+impl MocapConfig {
+    /// The model of the noise is the rig's, whose files are checked as a whole.
+    fn has_noise(&self, section: &str) -> Result<(), OutOfBounds> {
+        let noise = &self.noise;
+        for (name, value) in [
+            ("gyro_noise_density", noise.gyro_noise_density),
+            ("accel_noise_density", noise.accel_noise_density),
+            ("gyro_bias_walk", noise.gyro_bias_walk),
+            ("accel_bias_walk", noise.accel_bias_walk),
+        ] {
+            if !Bounds::NOT_NEGATIVE.hold(value) {
+                let section = lsfb_types::setting_name(section, "noise");
+                return Err(OutOfBounds::new(
+                    &section,
+                    name,
+                    &value,
+                    &Bounds::NOT_NEGATIVE,
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Fewer say nothing.
 const LEAST_POSES: usize = 100;
 /// Passes through all poses after the first: numbers that stay follow from the last, noise of the markers from that before.
@@ -77,7 +111,9 @@ pub fn align_mocap(
     markers: &[StampedPose],
     samples: &[Stamped<ImuSample>],
     config: &MocapConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<MocapAlignment, Error> {
+    config.check_bounds("")?;
     let too_few = |poses: usize| Error::TooFewPoses {
         role: "reference",
         poses,
@@ -88,7 +124,7 @@ pub fn align_mocap(
     };
     let base = first.time;
     let inertial = Inertial::new(samples, base);
-    let turned = turned(markers, samples, config)?;
+    let turned = turned(markers, samples, config, progress)?;
     let mut clock = Clock {
         ahead_secs: turned.offset_secs,
         drift: 0.0,
@@ -115,6 +151,7 @@ pub fn align_mocap(
     let mut seen = seen(&poses, &clock);
     let mut found = smooth(&inertial, &seen, About::Filter(&start), &prior(), &model)?;
     for pass in 0..PASSES {
+        show_round(pass, PASSES, progress)?;
         let left: Vec<_> = found.iter().map(Smoothed::fits).collect();
         let fit = left.iter().flatten().count();
         if fit < LEAST_POSES {
@@ -132,6 +169,7 @@ pub fn align_mocap(
         let about = About::States(&states, &weights);
         found = smooth(&inertial, &seen, about, &prior(), &model)?;
     }
+    show_round(PASSES, PASSES, progress)?;
     let halves = halves(&inertial, &seen, &found, &model);
     let left: Vec<_> = found.iter().map(Smoothed::fits).collect();
     let noise = Noise {
@@ -148,6 +186,7 @@ fn turned(
     markers: &[StampedPose],
     samples: &[Stamped<ImuSample>],
     config: &MocapConfig,
+    progress: ProgressFn<'_>,
 ) -> Result<super::GyroAlignment, Error> {
     let rates: Vec<GyroSample> = samples
         .iter()
@@ -161,7 +200,7 @@ fn turned(
         search_secs: config.search_secs,
         clock: ClockModel::Constant,
     };
-    align_gyroscope(markers, &rates, &search).map_err(seen_from_the_markers)
+    align_gyroscope(markers, &rates, &search, progress).map_err(seen_from_the_markers)
 }
 
 /// What the search says of offsets is of the other direction; zero minus an offset, so that there is no -0.

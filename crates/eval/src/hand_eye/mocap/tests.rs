@@ -2,7 +2,7 @@ use super::*;
 use crate::hand_eye::continuous::tests::{motion, sampled};
 use crate::hand_eye::tests::{normal, shaken};
 use lsfb_geometry::{Vector6, so3};
-use lsfb_types::{Timestamp, Verdict};
+use lsfb_types::{Timestamp, Verdict, no_progress};
 
 const GYRO_BIAS_RAD_S: Vector3<f64> = Vector3::new(0.012, -0.02, 0.007);
 const ACCEL_BIAS_M_S2: Vector3<f64> = Vector3::new(0.08, -0.05, 0.1);
@@ -131,8 +131,13 @@ fn figures([turn_deg, shift_m, step_deg, step_m]: [f64; 4]) {
 #[test]
 fn the_path_is_ten_times_smoother_than_the_markers() {
     let setup = simulated(20.0, 0.0);
-    let found =
-        align_mocap(&setup.markers, &setup.samples, &MocapConfig::default()).expect("aligned");
+    let found = align_mocap(
+        &setup.markers,
+        &setup.samples,
+        &MocapConfig::default(),
+        &no_progress,
+    )
+    .expect("aligned");
     let found_errors @ [turn_deg, shift_m, step_deg, step_m] = errors(&found);
     figures(found_errors);
     assert!(turn_deg < 0.2 && shift_m < 0.002, "{turn_deg} {shift_m}");
@@ -174,8 +179,13 @@ fn the_path_is_ten_times_smoother_than_the_markers() {
 fn the_path_is_as_smooth_with_other_noise() {
     for seed in [1_000, 20_000, 300_000] {
         let setup = simulated_of(20.0, 2e-5, seed);
-        let found =
-            align_mocap(&setup.markers, &setup.samples, &MocapConfig::default()).expect("aligned");
+        let found = align_mocap(
+            &setup.markers,
+            &setup.samples,
+            &MocapConfig::default(),
+            &no_progress,
+        )
+        .expect("aligned");
         let found_errors @ [turn_deg, shift_m, step_deg, step_m] = errors(&found);
         figures(found_errors);
         assert!(turn_deg < 0.2 && shift_m < 0.002, "{turn_deg} {shift_m}");
@@ -198,7 +208,8 @@ fn swapped_and_dropped_markers_are_bridged() {
         clock: ClockModel::Drifting,
         ..MocapConfig::default()
     };
-    let found = align_mocap(&setup.markers, &setup.samples, &config).expect("aligned");
+    let found =
+        align_mocap(&setup.markers, &setup.samples, &config, &no_progress).expect("aligned");
     let found_errors @ [turn_deg, shift_m, step_deg, step_m] = errors(&found);
     figures(found_errors);
     assert!(turn_deg < 0.2 && shift_m < 0.003, "{turn_deg} {shift_m}");
@@ -226,27 +237,28 @@ fn what_the_motion_does_not_show_is_refused() {
     let samples: Vec<_> = (0..2000)
         .map(|i| sample(&turn, f64::from(i) / 200.0, 1.0))
         .collect();
-    let refused = align_mocap(&markers, &samples, &MocapConfig::default());
+    let refused = align_mocap(&markers, &samples, &MocapConfig::default(), &no_progress);
     assert!(matches!(refused, Err(Error::OneAxis { .. })), "{refused:?}");
     let setup = simulated(10.0, 0.0);
     let few = align_mocap(
         &setup.markers[..50],
         &setup.samples,
         &MocapConfig::default(),
+        &no_progress,
     );
     assert!(matches!(few, Err(Error::TooFewPoses { .. })));
     let mut in_g = setup.samples.clone();
     for sample in &mut in_g {
         sample.sample.specific_force_m_s2 = sample.sample.specific_force_m_s2.map(|f| f / 9.81);
     }
-    let refused = align_mocap(&setup.markers, &in_g, &MocapConfig::default());
+    let refused = align_mocap(&setup.markers, &in_g, &MocapConfig::default(), &no_progress);
     assert!(
         matches!(refused, Err(Error::NotOneMotion { force_m_s2, .. }) if force_m_s2 < 2.0),
         "{refused:?}"
     );
     let mut gap = setup.samples.clone();
     gap.drain(900..960);
-    let refused = align_mocap(&setup.markers, &gap, &MocapConfig::default());
+    let refused = align_mocap(&setup.markers, &gap, &MocapConfig::default(), &no_progress);
     assert!(
         matches!(refused, Err(Error::InertialGap { .. })),
         "{refused:?}"
@@ -270,7 +282,8 @@ fn an_error_names_the_offset_that_was_given() {
             offset_guess_secs: given,
             ..MocapConfig::default()
         };
-        let error = align_mocap(&far, &setup.samples, &config).expect_err("no common time");
+        let error =
+            align_mocap(&far, &setup.samples, &config, &no_progress).expect_err("no common time");
         assert!(error.to_string().contains(words), "{error}");
     }
 }

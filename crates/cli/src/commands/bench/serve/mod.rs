@@ -77,9 +77,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if !listener.address().ip().is_loopback() {
         context.say("warning: anyone who can reach this machine can upload");
     }
-    // An end that was asked for is the end, and no error.
-    while context.check_stop().is_ok() {
+    // It has no end of its own: it is stopped as every command is.
+    loop {
+        context.check_stop()?;
         std::thread::sleep(LOOK_EVERY);
     }
-    Ok(Outcome::Done)
 }

@@ -22,6 +22,7 @@ use anyhow::Context as _;
 use lsfb_sim::{Device, Look, Place};
 use serde::Serialize;
 
+use crate::bad_argument::BadArgument;
 use crate::commands::sim::device;
 use crate::context::Context;
 use crate::judged::{self, Judged};
@@ -171,8 +172,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let of_a_seed: usize = places.iter().map(walks_of).sum();
     anyhow::ensure!(
         of_a_seed > 0,
-        "no walk is left: none of the places has a door that could be closed; choose --place {}",
-        doored.join(",")
+        BadArgument::new(format!(
+            "no walk is left: none of the places has a door that could be closed; choose --place {}",
+            doored.join(",")
+        ))
     );
     let last = arguments.seed.saturating_add(arguments.seeds - 1);
     let seeds = arguments.seed..=last;
