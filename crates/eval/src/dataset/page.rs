@@ -52,7 +52,7 @@ impl DatasetViews {
         description: &Description,
         measured: &[SequenceFigures],
         judgement: &Judgement,
-    ) -> String {
+    ) -> Page {
         let tables = [
             ("Cameras", cameras_table(measured)),
             ("Environments", environments_table(description)),
@@ -73,7 +73,6 @@ impl DatasetViews {
         Page::new(description.title.clone())
             .judged(judgement, &what)
             .body(body)
-            .to_html()
     }
 
     /// The same maps and estimates as drawings for papers: a name, and SVG.
