@@ -80,7 +80,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         "PASS: 1 of 1 cameras",
         "held-out parts",
         "<svg",
-        "refined.cam0-after.png",
+        "<img src=\"data:image/png;base64,",
     ] {
         assert!(page.contains(word), "{word}: {page}");
     }

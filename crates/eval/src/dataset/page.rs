@@ -173,6 +173,7 @@ mod tests {
         };
         let description = Description::new("test", 30.0, 100.0);
         let page = views.page(&description, &[], &Judgement::new(Vec::new()));
+        let page = page.to_html();
         assert!(page.contains("Hall &lt;1&gt;"), "{page}");
         // Each device stands in the legend once.
         let keys = |name: &str| page.matches(&format!("</span>{name}</span>")).count();
