@@ -84,7 +84,7 @@ fn three_seeds_are_found_again() {
             let off = found.gravity_in_target_m_s2[k] - simulated.gravity[k];
             assert!(off.abs() < 4.5 * found.gravity_sigma_m_s2[k], "{off}");
         }
-        let page = found.to_html("Camera–IMU");
+        let page = found.page("Camera–IMU").to_html();
         assert!(page.contains("PASS: ") && page.contains("clock, ms"));
     }
 }
@@ -400,7 +400,7 @@ fn bad_input_is_named() {
     let named =
         |f: &Finding| f.what.contains("explained by gaps of 0.29") || f.what.contains("of 0.30");
     assert!(found.findings.iter().any(named), "{:?}", found.findings);
-    assert!(found.to_html("page").contains("FAIL: "));
+    assert!(found.page("page").to_html().contains("FAIL: "));
 
     let mut swapped = good.known();
     let (left, right) = swapped.split_at_mut(1);
@@ -670,7 +670,8 @@ fn halves_that_disagree_are_warned_of() {
     assert!(halves.value.expect("a number") > 4.0, "{halves:?}");
     assert!(
         found
-            .to_html("Camera–IMU")
+            .page("Camera–IMU")
+            .to_html()
             .contains("Halves of the recording")
     );
 }

@@ -21,6 +21,7 @@ mod camera;
 pub mod clock;
 mod config;
 mod control;
+mod counted;
 mod device_note;
 pub mod doctor;
 mod entry;

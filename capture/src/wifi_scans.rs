@@ -9,6 +9,8 @@ use std::collections::{BTreeMap, VecDeque};
 use lsfb_recording::message::WifiReading;
 use lsfb_types::Timestamp;
 
+use crate::counted::counted;
+
 /// Fewer networks with the same levels as before are no wonder.
 const LEAST_NETWORKS: usize = 4;
 /// Four scans in two minutes are one in 30 s; what scans as it likes takes 2 to 10 s.
@@ -113,12 +115,17 @@ impl WifiScans {
 
     /// What they are like, in words.
     pub(crate) fn words(&self) -> String {
-        let mut words = format!("{} Wi-Fi scans", self.count);
+        let mut words = counted(self.count as u64, "Wi-Fi scan", "Wi-Fi scans");
         if let Some(secs) = self.slowest_secs {
             words += &format!(", one every {secs:.1} s at the slowest");
         }
         if self.handed_out_again > 0 {
-            words += &format!("; {} of them repeat old results", self.handed_out_again);
+            let repeat = if self.handed_out_again == 1 {
+                "repeats"
+            } else {
+                "repeat"
+            };
+            words += &format!("; {} of them {repeat} old results", self.handed_out_again);
         }
         if self.were_held_back() {
             words += ": the phone's system throttles scans";

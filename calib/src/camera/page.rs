@@ -25,14 +25,13 @@ impl CameraCalibration {
     }
 
     /// The page.
-    pub fn to_html(&self, title: &str) -> String {
+    pub fn page(&self, title: &str) -> Page {
         let body = html! {
             @for camera in &self.cameras { (section(camera)) }
         };
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(body)
-            .to_html()
     }
 }
 

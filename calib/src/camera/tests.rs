@@ -321,7 +321,7 @@ fn corners_that_miss_by_more_than_a_detector_does_are_explained() {
                 camera.findings
             );
         }
-        assert!(found.to_html("page").contains(outcome.name()));
+        assert!(found.page("page").to_html().contains(outcome.name()));
     }
 }
 

@@ -27,7 +27,7 @@ impl CameraImuCalibration {
     }
 
     /// The page.
-    pub fn to_html(&self, title: &str) -> String {
+    pub fn page(&self, title: &str) -> Page {
         let body = html! {
             @for camera in &self.cameras { (section(camera)) }
             (imu(&self.imu))
@@ -37,7 +37,6 @@ impl CameraImuCalibration {
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(body)
-            .to_html()
     }
 
     fn board(&self) -> Markup {

@@ -24,7 +24,7 @@ impl ImuNoise {
     }
 
     /// The page.
-    pub fn to_html(&self, title: &str) -> String {
+    pub fn page(&self, title: &str) -> Page {
         let triads = [
             (
                 "Gyroscope",
@@ -75,7 +75,6 @@ impl ImuNoise {
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(body)
-            .to_html()
     }
 }
 

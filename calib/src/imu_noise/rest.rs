@@ -51,7 +51,9 @@ impl Log {
             .iter()
             .map(|i| (i / median_s).round() - 1.0)
             .filter(|n| *n > 0.0)
-            .sum();
+            .sum::<f64>()
+            // The sum of nothing is −0.
+            .abs();
         let all = imu.len() as f64 + missing;
         if missing > MOST_MISSING * all {
             return Err(NoRest::Missing { missing, all }.into());

@@ -47,7 +47,7 @@ fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
             .iter()
             .any(|f| f.what.contains("random walk stays"))
     );
-    let page = found.to_html("Noise");
+    let page = found.page("Noise").to_html();
     assert!(page.contains("WARN: ") && page.contains("noise density"));
 }
 

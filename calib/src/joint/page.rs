@@ -29,11 +29,10 @@ impl JointCalibration {
     }
 
     /// The page.
-    pub fn to_html(&self, title: &str) -> String {
+    pub fn page(&self, title: &str) -> Page {
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(self.body())
-            .to_html()
     }
 
     fn bars(&self, name: &str, label: &str, value: fn(&EdgeConsistency) -> Option<f64>) -> Markup {

@@ -1,6 +1,6 @@
 //! The report as one HTML page.
 
-use lsfb_report::{Normal, Page, arrows, badge, bars, coverage, scroll};
+use lsfb_report::{Normal, Page, arrows, badge, bars, coverage, png, scroll};
 use lsfb_types::Judgement;
 use maud::{Markup, html};
 
@@ -57,8 +57,8 @@ impl LidarCameraCalibration {
         }
     }
 
-    /// The page; `picture` is the file beside it with the returns over an image, where there is one.
-    pub fn to_html(&self, title: &str, picture: Option<&str>) -> String {
+    /// The page; `picture` is a PNG of the returns over an image, where there is one.
+    pub fn page(&self, title: &str, picture: Option<&[u8]>) -> Page {
         let body = html! {
             section {
                 h2 { "LiDAR relative to " (self.camera) }
@@ -69,7 +69,7 @@ impl LidarCameraCalibration {
                 section {
                     h2 { "LiDAR on the image" }
                     p { "Returns of one scan, red (near) to blue (far): they should end at the edge of the board." }
-                    img src=(picture) alt="LiDAR returns over an image";
+                    (png(picture, "LiDAR returns over an image"))
                 }
             }
             section { h2 { "Poses" } (scroll(&self.pose_list())) }
@@ -77,7 +77,6 @@ impl LidarCameraCalibration {
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(body)
-            .to_html()
     }
 
     fn pose_table(&self) -> Markup {

@@ -1,6 +1,6 @@
 //! The report of a refinement as one HTML page.
 
-use lsfb_report::{Normal, Page, bars, coverage, scroll};
+use lsfb_report::{Normal, Page, bars, coverage, png, scroll};
 use maud::{Markup, html};
 
 use super::report::{Component, Evidence, NAMES, Refinement, RefinementReport};
@@ -31,10 +31,10 @@ impl Compared {
 }
 
 impl RefinementReport {
-    /// The page; pictures are named by `picture` and lie beside it.
-    pub fn to_html(&self, title: &str, picture: &dyn Fn(&str, Compared) -> String) -> String {
+    /// The page.
+    pub fn page(&self, title: &str) -> Page {
         let body = html! {
-            @for camera in &self.cameras { (section(camera, picture)) }
+            @for camera in &self.cameras { (section(camera)) }
             section {
                 h2 { "How this was estimated" }
                 p.note {
@@ -46,11 +46,10 @@ impl RefinementReport {
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
             .body(body)
-            .to_html()
     }
 }
 
-fn section(c: &Refinement, picture: &dyn Fn(&str, Compared) -> String) -> Markup {
+fn section(c: &Refinement) -> Markup {
     html! {
         section {
             h2 { (c.camera) }
@@ -58,11 +57,11 @@ fn section(c: &Refinement, picture: &dyn Fn(&str, Compared) -> String) -> Markup
                 (numbers(&c.components, evidence))
                 (figures(evidence))
             }
-            @if c.overlays.is_some() {
+            @if let Some(overlays) = &c.overlays {
                 div.plots {
-                    @for which in [Compared::Before, Compared::After] {
+                    @for (overlay, which) in overlays.iter().zip([Compared::Before, Compared::After]) {
                         figure.large {
-                            img src=(picture(&c.camera, which)) alt=(which.name());
+                            (png(&overlay.png, which.name()))
                             figcaption { (which.name()) ": returns, red (near) to blue (far)" }
                         }
                     }

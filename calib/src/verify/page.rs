@@ -1,13 +1,14 @@
 //! The report as one HTML page.
 
-use lsfb_report::{Page, badge, scroll};
+use lsfb_report::{Page, badge, png, scroll};
+use lsfb_types::Judgement;
 use maud::{Markup, html};
 
 use super::Verification;
 
 impl Verification {
-    /// The page; pictures are named by `picture` and lie beside it.
-    pub fn to_html(&self, title: &str, picture: &dyn Fn(&str) -> String) -> String {
+    /// The page. `judgement` is that of the whole command, which may know more than the checks.
+    pub fn page(&self, title: &str, judgement: &Judgement) -> Page {
         let body = html! {
             section {
                 h2 { "Checks" }
@@ -22,14 +23,13 @@ impl Verification {
                 section {
                     h2 { (o.camera) }
                     p { (o.points) " LiDAR returns, red (near) to blue (far): their edges should lie on those of the image." }
-                    img src=(picture(&o.camera)) alt=(o.camera);
+                    (png(&o.png, &o.camera))
                 }
             }
         };
         Page::new(title)
-            .judged(&self.judgement(), &self.summary())
+            .judged(judgement, &self.summary())
             .body(body)
-            .to_html()
     }
 
     fn table(&self) -> Markup {

@@ -6,6 +6,7 @@ use lsfb_types::{Finding, Image, Timestamp, Verdict};
 
 use super::inertial::SET_BEFORE;
 use super::{Depth, DoctorConfig, Findings};
+use crate::counted::counted;
 use crate::grey::{is_black, saturated_share, some_pixels};
 use crate::health::Repeats;
 use crate::order::Order;
@@ -75,14 +76,20 @@ impl Findings {
 
     fn seen_by(&mut self, topic: &str, seen: &CameraCounts) {
         let looked_at = seen.images + seen.unreadable;
-        let of = format!("in {looked_at} images checked");
+        let of = format!(
+            "in {} checked",
+            counted(looked_at as u64, "image", "images")
+        );
         let mut problem = |verdict, found: String, remedy: &str| {
             let found = format!("{found}, {of}");
             self.add(Finding::new("images", verdict, topic, found).remedy(remedy));
         };
         let mut is_well = true;
         if seen.unreadable > 0 {
-            let found = format!("{} images cannot be read", seen.unreadable);
+            let found = format!(
+                "{} cannot be read",
+                counted(seen.unreadable as u64, "image", "images")
+            );
             problem(Verdict::Fail, found, "check the program that wrote them");
             is_well = false;
         }
@@ -98,7 +105,8 @@ impl Findings {
         }
         let stretches = seen.repeats.stale().stretches();
         if stretches > 0 {
-            let found = format!("{stretches} stretches of the same image for more than a second");
+            let stretches = counted(stretches, "stretch", "stretches");
+            let found = format!("{stretches} of the same image for more than a second");
             problem(Verdict::Fail, found, "restart the camera; check its cable");
             is_well = false;
         }
@@ -121,6 +129,9 @@ impl Findings {
                 true => "content not checked: only grey images are supported",
                 false => "content not checked",
             };
+            self.add(Finding::new("images", Verdict::Unknown, topic, found));
+        } else if is_well && seen.images == 1 {
+            let found = format!("images have content; whether they change takes two, {of}");
             self.add(Finding::new("images", Verdict::Unknown, topic, found));
         } else if is_well {
             let found = format!("images have content and change, {of}");
@@ -197,7 +208,7 @@ mod tests {
         assert!(good.starts_with("PASS"), "{good}");
         let frozen = found(|n, time| grey(n.min(30), time, |n| n * 7), |n| 50 * n);
         assert!(
-            frozen.contains("FAIL: 1 stretches of the same image"),
+            frozen.contains("FAIL: 1 stretch of the same image"),
             "{frozen}"
         );
         let capped = of_pixels(|n| n * 7 % 3);

@@ -9,6 +9,7 @@ use super::file::utc;
 use super::rhythm::Rhythm;
 use super::stream::{Stream, possible_hz, unreal_pace};
 use super::{DoctorConfig, Findings};
+use crate::counted::counted;
 
 /// Silences shorter than this are the host's, whatever the period, seconds.
 const SHORTEST_SILENCE_SECS: f64 = 0.02;
@@ -138,7 +139,8 @@ impl Findings {
         let regular = rhythm.filter(|rhythm| rhythm.is_regular);
         let own_hz = regular.map(|rhythm| 1.0 / rhythm.median_secs);
         let own_least = own_hz.map(|hz| config.warn_rate_share * hz);
-        let said = format!("{count} messages, {rate_hz:.1} Hz");
+        let messages = counted(count as u64, "message", "messages");
+        let said = format!("{messages}, {rate_hz:.1} Hz");
         self.add(if !(rate_hz <= most) {
             let found = format!("{said}: too fast for such a sensor; several may share the topic");
             finding(Verdict::Fail, Limit::AtMost(most), found)
@@ -163,6 +165,9 @@ impl Findings {
             let found = format!("{said}, but its period gives {own_hz:.1} Hz");
             finding(Verdict::Warn, Limit::AtLeast(own_least), found)
                 .remedy("check its cable and the load of the machine: messages are missing")
+        } else if count < 2 {
+            let found = format!("{messages}: a rate takes two");
+            Finding::new("rate", Verdict::Unknown, stream.topic, found)
         } else {
             finding(
                 Verdict::Pass,

@@ -9,7 +9,7 @@ use maud::{Markup, html};
 const SHOWN: f64 = 0.99;
 
 /// The whole page.
-pub fn html(recording: &str, report: &ClockReport, judgement: &Judgement) -> String {
+pub fn page(recording: &str, report: &ClockReport, judgement: &Judgement) -> Page {
     let body = html! {
         p.note {
             "Estimated from the recorded counters and arrivals alone. The constant part of a \
@@ -22,7 +22,6 @@ pub fn html(recording: &str, report: &ClockReport, judgement: &Judgement) -> Str
     Page::new(format!("Clocks of {recording}"))
         .judged(judgement, &report.summary())
         .body(body)
-        .to_html()
 }
 
 fn table(report: &ClockReport) -> Markup {

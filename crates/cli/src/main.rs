@@ -20,6 +20,7 @@ mod live;
 mod memory;
 mod one_of;
 mod outcome;
+mod pages;
 mod phones;
 mod progress;
 mod qr_code;

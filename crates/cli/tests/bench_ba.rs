@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::Output;
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 
 fn said(output: &Output) -> String {
@@ -46,6 +47,7 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
     assert_eq!(lines("keyframe "), 60);
     assert_eq!(Some(lines("see ") as u64), printed["observations"].as_u64());
     let page = std::fs::read_to_string(root.join("ba/ba.html")).expect("page");
+    pages::are_whole(root);
     assert!(page.contains("Peer") && page.contains("incremental"));
 
     // In a map (Eq. 5), poses are those of the optimum. A peer is run on the problem in the same run.

@@ -1,6 +1,7 @@
 //! `lsfb bench twin`: one walk of a trial that is only tried out, and once more.
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 
 #[test]
@@ -29,6 +30,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
     // The sense of solving over all images.
     let [alone_m, solved_m] = ["jitter_localized_m", "jitter_solved_m"].map(figure);
     assert!(0.0 < solved_m && solved_m < alone_m, "{run}");
+    pages::are_whole(root);
     for name in ["report.html", "twin.json"] {
         assert!(root.join("trial").join(name).exists(), "{name}");
     }

@@ -27,9 +27,10 @@ fn backpack(offsets_s: [f64; 4]) -> Rig {
 }
 
 fn notes(printed: &serde_json::Value) -> Vec<String> {
-    let notes = printed["notes"].as_array().expect("notes");
-    let text = |n: &serde_json::Value| n.as_str().expect("text").to_owned();
-    notes.iter().map(text).collect()
+    let findings = printed["findings"].as_array().expect("findings");
+    let warned = findings.iter().filter(|f| f["verdict"] == "warn");
+    let text = |f: &serde_json::Value| f["what"].as_str().expect("text").to_owned();
+    warned.map(text).collect()
 }
 
 fn assert_same_camera(name: &str, a: &Camera, b: &Camera) {

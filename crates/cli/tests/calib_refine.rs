@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 use crate::refusal::{found_unfit, refused};
 use lsfb_calib::TransformEdge;
@@ -74,11 +75,12 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
         "{camera}"
     );
     let page = std::fs::read_to_string(path.join("refined.html")).expect("a page");
+    pages::are_whole(path);
     for word in [
         "PASS: 1 of 1 cameras",
         "held-out parts",
         "<svg",
-        "refined.cam0-after.png",
+        "<img src=\"data:image/png;base64,",
     ] {
         assert!(page.contains(word), "{word}: {page}");
     }

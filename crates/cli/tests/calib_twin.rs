@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 use crate::rig_files::{apart, write_rig};
 use lsfb_geometry::{Rig, Se3, Vector6};
@@ -88,6 +89,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         0,
     );
     assert_eq!(outcome(&checked, "cam0 time offset"), "PASS", "{checked}");
+    pages::are_whole(folder.path());
     assert_eq!(
         outcome(&checked, "cam0 rotation to the IMU"),
         "PASS",

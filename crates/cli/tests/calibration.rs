@@ -2,6 +2,7 @@
 
 use crate::answer::json;
 use crate::board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
+use crate::pages;
 use crate::process::lsfb;
 use crate::refusal::{contents, found_unfit, refused};
 use lsfb_calib::TransformEdge;
@@ -30,7 +31,7 @@ fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
     let path = folder.path();
     write_stereo(path, 0.0);
     let report = json(path, &CAMERA, 0);
-    assert_ne!(report["outcome"], "FAIL", "{}", report["verdict"]);
+    assert_ne!(report["verdict"], "fail", "{}", report["verdict"]);
     assert_eq!(report["transforms"][0], "rig.right-left.json");
     let edge = TransformEdge::read(&path.join("rig.right-left.json")).expect("transform");
     let baseline_m = edge.target_from_source.translation.norm();
@@ -59,7 +60,7 @@ fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
     let mut swapped = CAMERA;
     (swapped[7], swapped[9]) = ("left=right", "right=left");
     let report = json(path, &[&swapped[..], &["--force"]].concat(), 0);
-    assert_eq!(report["outcome"], "WARN");
+    assert_eq!(report["verdict"], "warn");
     assert!(
         report
             .to_string()
@@ -83,6 +84,7 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
     assert!(text.contains("FAIL: "));
     assert!(!path.join("rig.toml").exists());
     let page = std::fs::read_to_string(path.join("rig.html")).expect("page");
+    pages::are_whole(path);
     assert!(page.contains("FAIL: ") && page.contains("reprojection error is"));
 
     let mut other = CAMERA;
@@ -284,7 +286,7 @@ fn camera_then_camera_imu_then_joint() {
         "lens.toml",
     ];
     let report = json(path, &[&camera[..], &both].concat(), 0);
-    assert_ne!(report["outcome"], "FAIL");
+    assert_ne!(report["verdict"], "fail");
 
     let mut rig = Rig::read(&path.join("lens.toml")).expect("rig");
     // As the data set states it.
@@ -298,7 +300,7 @@ fn camera_then_camera_imu_then_joint() {
     let camera_imu = ["calib", "camera-imu", "--april-grid", "6,6,0.088,0.3"];
     let files = ["--rig", "lens.toml", "--imu", &imu, "--out", "rig.toml"];
     let report = json(path, &[&camera_imu[..], &files, &both].concat(), 0);
-    assert_ne!(report["outcome"], "FAIL");
+    assert_ne!(report["verdict"], "fail");
     for (k, name) in ["rig.cam0-imu.json", "rig.cam1-imu.json"]
         .iter()
         .enumerate()

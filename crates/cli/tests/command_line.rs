@@ -6,6 +6,7 @@ use std::process::{Command, Output, Stdio};
 
 use crate::answer::json;
 use crate::inlier_lines::hold_against_poses;
+use crate::pages;
 use crate::process::lsfb;
 use crate::refusal::found_unfit;
 use crate::session::with;
@@ -258,7 +259,9 @@ fn every_judgement_has_one_shape() {
         "doctor scan.mcap",
         "clock scan.mcap --out clock.html",
         "calib verify scan.mcap --out verify.html",
-        "eval walk.tum --truth walk.tum",
+        "calib verify scan.mcap --out clocks.html --out-rig clocks.toml",
+        "eval walk.tum --truth walk.tum --out eval.html",
+        "localize map scan.mcap --out-report localize.html",
         "map crop map --min-m=-99,-99,-99 --max-m 99,99,99 --out part",
         "map export keyframes map --out poses",
     ] {
@@ -281,7 +284,14 @@ fn every_judgement_has_one_shape() {
         assert_eq!(Some(verdict), worst, "{command}: {answer}");
         let failed = output.status.code() == Some(4);
         assert_eq!(failed, verdict == "fail", "{command}: {answer}");
+        // A page that is written before all is judged says another thing than the exit code.
+        if let Some(page) = arguments.iter().find(|a| a.ends_with(".html")) {
+            let page = std::fs::read_to_string(path.join(page)).expect("a page");
+            let drawn = format!("verdict {verdict}");
+            assert!(page.contains(&drawn), "{command}: {verdict}");
+        }
     }
+    pages::are_whole(path);
 }
 
 #[test]
@@ -418,6 +428,7 @@ fn maps_are_pruned_and_looked_at() {
             > 10_000
     );
     let page = std::fs::read_to_string(path.join("map.html")).expect("a page");
+    pages::are_whole(path);
     assert!(page.contains("3D view") && page.contains("keyframes"));
     let alone = [
         "map",

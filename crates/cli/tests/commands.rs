@@ -26,6 +26,7 @@ mod joint;
 mod lidar_input;
 mod models;
 mod odometry_input;
+mod pages;
 mod process;
 mod radio;
 mod real_input;

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 use lsfb_geometry::{Quaternion, Rig, Se3, Trajectory, UnitQuaternion, Vector3};
 use lsfb_recording::{Recording, read_tum};
@@ -178,6 +179,7 @@ fn reports(root: &Path) {
         0,
     );
     let page = fs::read_to_string(root.join("page.html")).expect("page");
+    pages::are_whole(root);
     for shown in [
         "Corridor (narrow)",
         "C3-glasses vs. its truth",

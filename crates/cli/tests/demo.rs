@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::answer::json;
+use crate::pages;
 use crate::process::lsfb;
 use crate::running::Running;
 use crate::sidecar_rig::SidecarRig;
@@ -103,6 +104,7 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     // Its figures are no proof, and its page says so.
     let page = std::fs::read_to_string(root.join("many/report.html")).expect("report");
     assert!(page.contains("The demo is easy") && page.contains("lsfb bench twin"));
+    pages::are_whole(root);
 
     // What is finished stays as it is.
     let report = || {
@@ -291,9 +293,7 @@ fn the_page_of_a_walk_shows_what_is_left_out(path: &Path) {
     ] {
         assert!(page.contains(part), "no {part:?}");
     }
-    for part in ["http:", "https:", "src=", "@import", "fetch(", "url("] {
-        assert!(!page.contains(part), "{part}");
-    }
+    pages::are_whole(path.parent().expect("a folder"));
     let path = path.with_extension("html.provenance.json");
     assert!(path.exists(), "{}", path.display());
 }

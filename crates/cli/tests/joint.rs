@@ -1,6 +1,7 @@
 //! The joint graph of all sensors as an operator runs it: loops closed, and a transform that contradicts named.
 
 use crate::answer::json;
+use crate::pages;
 use crate::refusal::refused;
 use crate::rig_files::{apart, write_rig};
 use lsfb_calib::TransformEdge;
@@ -86,6 +87,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         "{found}"
     );
     let page = std::fs::read_to_string(folder.path().join("joined.html")).expect("a page");
+    pages::are_whole(folder.path());
     assert!(page.contains(words), "{page}");
     for (path, edge) in files.iter().zip([first, second]) {
         std::fs::write(path, edge.to_json()).expect("a transform");

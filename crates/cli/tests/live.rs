@@ -10,6 +10,7 @@ mod inertial_units;
 mod interrupted;
 mod leaderboard;
 mod mock;
+mod pages;
 mod process;
 mod recorder;
 mod running;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::pages;
 use crate::process::lsfb;
 use lsfb_geometry::{ImuNoiseModel, Rig};
 use lsfb_recording::{Writer, WriterConfig, rig_sha256, sha256_of};
@@ -265,6 +266,7 @@ fn clocks_are_printed_and_plotted() {
     let skew_ppm = report["devices"][0]["epochs"][0]["skew_ppm"].as_f64();
     assert!(skew_ppm.is_some_and(|s| s.abs() < 5.0), "{report}");
     let page = std::fs::read_to_string(folder.path().join("clocks.html")).expect("page");
+    pages::are_whole(folder.path());
     assert_eq!(page.matches("<svg").count(), 2);
     assert!(page.contains("PASS: 1 clock") && !page.contains("http"));
 }

@@ -90,7 +90,7 @@ fn the_four_forms_say_the_same() {
         marked.to_text(),
         marked.to_csv(),
         marked.to_latex(),
-        marked.to_html(),
+        marked.page().to_html(),
     );
     // O0: VINS-Fusion's 3.816 m fits 100 m and is the best but one; ORB-SLAM3's 3.379 m is the best; DROID's 19.320 m is unreliable.
     assert!(
@@ -120,6 +120,6 @@ fn hostile_names_stay_names() {
     let mut hostile = table(GLASSES, "glasses");
     hostile.systems[0].name = "<script>&\\input{x}\n".to_owned();
     let marked = hostile.marked();
-    assert!(!marked.to_html().contains("<script>&"));
+    assert!(!marked.page().to_html().contains("<script>&"));
     assert!(!marked.to_latex().contains("\\input{x}"));
 }

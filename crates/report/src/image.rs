@@ -1,4 +1,8 @@
-//! Plots over the area of an image: pixels to the right and down.
+//! Images, and plots over the area of an image: pixels to the right and down.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use maud::{Markup, html};
 
 use super::axis::Axis;
 use super::plot::{Ink, Layer, Plot, SHADES, plot_height_px, plot_width_px};
@@ -7,6 +11,12 @@ use super::plot::{Ink, Layer, Plot, SHADES, plot_height_px, plot_width_px};
 const WIDTH_PX: u32 = 340;
 /// Tallest data area: an image that stands on end is no longer than this.
 const TALLEST_PX: u32 = 480;
+
+/// A PNG within the page: a file beside it would be missing wherever the page is sent.
+pub fn png(bytes: &[u8], alt: &str) -> Markup {
+    let source = format!("data:image/png;base64,{}", STANDARD.encode(bytes));
+    html! { img src=(source) alt=(alt); }
+}
 
 /// How often something was seen in each cell of an image: `cells` by rows from the upper left. Cells in which nothing was seen are
 /// marked.

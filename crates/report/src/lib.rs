@@ -39,7 +39,7 @@ mod theme;
 
 pub use axis::{Axis, tick_step};
 pub use findings::badge;
-pub use image::{arrows, coverage};
+pub use image::{arrows, coverage, png};
 pub use number::{rounded, significant, with_unit};
 pub use page::{Page, scroll};
 pub use plot::{Ink, Layer, Plot, SHADES, ink_css, plot_height_px, plot_width_px};

@@ -97,6 +97,7 @@ mod tests {
     use lsfb_types::{Finding, Verdict};
 
     use super::*;
+    use crate::png;
 
     #[test]
     fn hostile_words_stay_words() {
@@ -113,7 +114,9 @@ mod tests {
     /// A page that fetched anything would be blank in the field, and tell somebody that it was opened.
     #[test]
     fn nothing_is_fetched() {
-        let page = Page::new("x").to_html();
+        let page = Page::new("x").body(png(&[0, 159, 146], "x")).to_html();
+        assert!(page.contains(r#"<img src="data:image/png;base64,AJ+S" alt="x">"#));
+        let page = page.replace(r#"src="data:"#, "");
         for part in ["http:", "https:", "src=", "@import", "fetch(", "url("] {
             assert!(!page.contains(part), "{part}");
         }

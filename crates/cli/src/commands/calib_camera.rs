@@ -16,6 +16,7 @@ use super::write;
 use crate::context::Context;
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
 ///
@@ -112,7 +113,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = views.iter().filter_map(|v| v.views.keys().next_back());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns.copied())?;
     let page = arguments.out.with_extension("html");
-    write(&page, calibration.to_html("Camera calibration"))?;
+    pages::write(&page, calibration.page("Camera calibration"), &provenance)?;
     let mut transforms = Vec::new();
     let judgement = calibration.judgement();
     if judgement.verdict() != Verdict::Fail {

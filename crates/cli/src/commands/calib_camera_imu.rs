@@ -18,6 +18,7 @@ use super::calib_result::{Calibrated, Results, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Calibrate the cameras' poses and clocks relative to the IMU, from a walk in front of a board.
 ///
@@ -136,7 +137,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = imu.iter().map(|(time, _)| time.nanos());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    write(&page, calibration.to_html("Camera–IMU calibration"))?;
+    pages::write(
+        &page,
+        calibration.page("Camera–IMU calibration"),
+        &provenance,
+    )?;
     let mut transforms = Vec::new();
     let judgement = calibration.judgement();
     if judgement.verdict() != Verdict::Fail {

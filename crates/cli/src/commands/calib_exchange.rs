@@ -9,10 +9,12 @@ use lsfb_calib::exchange::{
 };
 use lsfb_geometry::{Rig, RigCamera, Se3};
 use lsfb_recording::Provenance;
+use lsfb_types::{Finding, Judgement, Verdict};
 
 use super::calib_result::Results;
 use crate::bad_argument::BadArgument;
 use crate::context::Context;
+use crate::judged::{Judged, printable, problem_lines};
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
 
@@ -78,9 +80,13 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     let ImportedRig {
         rig: found,
         poses,
-        mut notes,
+        notes,
     } = read(arguments)?;
-    notes.extend(implausible(&found));
+    let of = names_of(&arguments.files);
+    let mut findings: Vec<Finding> =
+        noted(notes, "imported", &of, "compare the rig with the file").collect();
+    let remedy = "check the values in the file, or calibrate again";
+    findings.extend(noted(implausible(&found), "implausible", &of, remedy));
     let mut provenance = Provenance::new(&());
     for path in &arguments.files {
         provenance.add_input(path)?;
@@ -89,7 +95,9 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
         Some(path) => {
             provenance.add_input(path)?;
             let mut rig = Rig::read(path)?;
-            notes.extend(put(&found, poses, &mut rig)?);
+            let put = put(&found, poses, &mut rig)?;
+            let remedy = "measure the offset with `lsfb calib camera-imu`";
+            findings.extend(noted(put, "clock-offset", &of, remedy));
             if !found.cameras.is_empty() {
                 // None of these files says when it was made.
                 rig.calibrated_unix_s = None;
@@ -105,19 +113,34 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     super::write(&arguments.out, rig.to_toml())?;
     provenance.write(&arguments.out)?;
     let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
-    context.print(
-        &serde_json::json!({ "cameras": &names, "notes": &notes }),
-        || {
-            let imu = rig.imu_noise().map(|_| "noise of the IMU");
-            let held: Vec<&str> = names.iter().copied().chain(imu).collect();
-            let mut text = format!("{}: {}", arguments.out.display(), held.join(", "));
-            for note in &notes {
-                text += &format!("\n  {note}");
-            }
-            text
-        },
-    )?;
-    Ok(Outcome::Done)
+    let judgement = or_whole(findings, &of, "all of it was taken over");
+    let printed = serde_json::json!({ "cameras": &names });
+    context.print(&Judged::new(&judgement, &of, &printed), || {
+        let imu = rig.imu_noise().map(|_| "noise of the IMU");
+        let held: Vec<&str> = names.iter().copied().chain(imu).collect();
+        let text = format!("{}: {}", arguments.out.display(), held.join(", "));
+        printable(format!("{text}\n{}", problem_lines(&judgement)).trim_end())
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+/// What is to be said of files that were read or written, each a finding.
+fn noted(
+    notes: Vec<String>,
+    code: &'static str,
+    subject: &str,
+    remedy: &'static str,
+) -> impl Iterator<Item = Finding> {
+    let finding = move |note| Finding::new(code, Verdict::Warn, subject, note).remedy(remedy);
+    notes.into_iter().map(finding)
+}
+
+/// Where nothing is to be said, that nothing was left out.
+fn or_whole(findings: Vec<Finding>, subject: &str, whole: &'static str) -> Judgement {
+    Judgement::new(match findings.is_empty() {
+        true => vec![Finding::new("whole", Verdict::Pass, subject, whole)],
+        false => findings,
+    })
 }
 
 fn names_of(files: &[PathBuf]) -> String {
@@ -283,18 +306,17 @@ pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Res
     for (path, file) in paths.iter().zip(&exported.files) {
         super::write(path, &file.text)?;
     }
-    context.print(
-        &serde_json::json!({ "files": &paths, "notes": &exported.notes }),
-        || {
-            let mut text = String::new();
-            for path in &paths {
-                text += &format!("{}\n", path.display());
-            }
-            for note in &exported.notes {
-                text += &format!("  {note}\n");
-            }
-            text.trim_end().to_owned()
-        },
-    )?;
-    Ok(Outcome::Done)
+    let of = arguments.rig.display().to_string();
+    let remedy = "tell the other program by hand, or go on without it";
+    let findings = noted(exported.notes, "exported", &of, remedy);
+    let judgement = or_whole(findings.collect(), &of, "all of it is in the files");
+    let printed = serde_json::json!({ "files": &paths });
+    context.print(&Judged::new(&judgement, &of, &printed), || {
+        let mut text = String::new();
+        for path in &paths {
+            text += &format!("{}\n", path.display());
+        }
+        printable(format!("{text}{}", problem_lines(&judgement)).trim_end())
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }

@@ -14,6 +14,7 @@ use super::write;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Measure the IMU's noise (Allan variance) from a recording at rest.
 ///
@@ -89,7 +90,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref(), context)?;
     let found = imu_noise(&samples, &config, &|p| context.show(p))?;
     context.check_stop()?;
-    write(&arguments.out, found.to_html("IMU noise"))?;
+    pages::write(&arguments.out, found.page("IMU noise"), &provenance)?;
     let judgement = found.judgement();
     let is_usable = judgement.verdict() != Verdict::Fail;
     if let Some(path) = arguments.out_kalibr.as_ref().filter(|_| is_usable) {

@@ -12,6 +12,7 @@ use super::calib_result::{Calibrated, Results};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Join pairwise transforms between sensors into one rig (Eq. 3), and check every loop.
 ///
@@ -99,7 +100,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     found.put_into(&mut rig);
     context.check_stop()?;
     let page = arguments.out.with_extension("html");
-    write(&page, found.to_html("Joint calibration"))?;
+    pages::write(&page, found.page("Joint calibration"), &provenance)?;
     let judgement = found.judgement();
     if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;

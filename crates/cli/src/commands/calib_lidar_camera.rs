@@ -21,6 +21,7 @@ use super::calib_result::{Calibrated, Results, picture_path, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Calibrate the LiDAR's pose relative to a camera, from poses of a board that both see.
 ///
@@ -159,11 +160,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(overlay) = &overlay {
         write(&picture, &overlay.png)?;
     }
-    let beside = overlay.map(|_| super::name_of(&picture));
-    write(
-        &page,
-        found.to_html("LiDAR–camera calibration", beside.as_deref()),
-    )?;
+    let drawn = overlay.as_ref().map(|overlay| overlay.png.as_slice());
+    let content = found.page("LiDAR–camera calibration", drawn);
+    pages::write(&page, content, &provenance)?;
     let mut transforms = Vec::new();
     let judgement = found.judgement();
     if judgement.verdict() != Verdict::Fail {

@@ -11,6 +11,7 @@ use super::calib_result::{Results, listed, write_transforms};
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Refine the LiDAR's pose relative to the cameras on any recording, without a board.
 ///
@@ -85,8 +86,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             pictures.push(path);
         }
     }
-    let beside = |camera: &str, which: Compared| super::name_of(&picture(camera, which));
-    super::write(page, found.to_html("LiDAR–camera refinement", &beside))?;
+    pages::write(page, found.page("LiDAR–camera refinement"), &provenance)?;
     provenance.write(page)?;
     let printed = Printed {
         page,

@@ -30,7 +30,6 @@ pub struct Calibrated<'a, C: Serialize> {
 /// The same in JSON.
 #[derive(Serialize)]
 struct Printed<'a, C: Serialize> {
-    outcome: &'static str,
     page: &'a Path,
     transforms: &'a [PathBuf],
     #[serde(flatten)]
@@ -46,7 +45,6 @@ impl<C: Serialize> Calibrated<'_, C> {
     ) -> anyhow::Result<Outcome> {
         let verdict = self.judgement.verdict();
         let printed = Printed {
-            outcome: verdict.name(),
             page: self.page,
             transforms: self.transforms,
             calibration: self.calibration,

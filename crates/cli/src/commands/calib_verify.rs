@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use lsfb_calib::verify::{MeasuredClock, VerifyConfig, verify};
 use lsfb_geometry::Rig;
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::{Finding, Judgement, Verdict};
+use lsfb_types::{Finding, Verdict};
 use serde::Serialize;
 
 use super::calib_result::Results;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Check a rig on any recording, without a board.
 ///
@@ -46,7 +47,6 @@ pub struct Arguments {
 
 #[derive(Serialize)]
 struct Printed<'a> {
-    outcome: &'static str,
     page: PathBuf,
     pictures: &'a [PathBuf],
     clocks: &'a [MeasuredClock],
@@ -92,9 +92,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         super::write(&path, &overlay.png)?;
         pictures.push(path);
     }
-    let beside = |camera: &str| super::name_of(&picture(camera));
-    super::write(&page, found.to_html("Rig verification", &beside))?;
-    provenance.write(&page)?;
     let mut clocks = Vec::new();
     let mut judgement = found.judgement();
     let mut not_written = None;
@@ -103,17 +100,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         clocks = measured;
         not_written = write_clocks(out, &recording, &corrected, &clocks, &config, context)?;
         match &not_written {
-            Some(why) => {
-                let all = judgement.findings().iter().chain([why]);
-                judgement = Judgement::new(all.cloned().collect());
-            }
+            Some(why) => judgement.push(why.clone()),
             None => {
                 provenance.write(out)?;
             }
         }
     }
+    // Last, as the page says what became of the rig that was asked for.
+    let content = found.page("Rig verification", &judgement);
+    pages::write(&page, content, &provenance)?;
+    provenance.write(&page)?;
     let printed = Printed {
-        outcome: judgement.verdict().name(),
         page: page.clone(),
         pictures: &pictures,
         clocks: &clocks,

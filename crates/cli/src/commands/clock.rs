@@ -12,6 +12,7 @@ use crate::clock_page;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::pages;
 use crate::standing;
 
 /// Re-estimate every device's clock from the recorded counters and arrival times, and plot it.
@@ -66,7 +67,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = arguments.recording.display().to_string();
     let judgement = report.judgement();
     standing::forget(&[&page])?;
-    super::write(&page, clock_page::html(&name, &report, &judgement))?;
+    let content = clock_page::page(&name, &report, &judgement);
+    pages::write(&page, content, &provenance)?;
     let printed = Printed {
         page: &page,
         report: &report,

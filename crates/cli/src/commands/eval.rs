@@ -10,6 +10,7 @@ use lsfb_eval::{
     Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, evaluate_files, read_trajectory,
 };
 use lsfb_geometry::Trajectory;
+use lsfb_recording::Provenance;
 use lsfb_types::{Judgement, StampUnit};
 
 use crate::bad_argument::BadArgument;
@@ -17,6 +18,7 @@ use crate::context::Context;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::one_of::one_of;
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Evaluate a trajectory against ground truth: absolute and relative errors, recall, smoothness.
 ///
@@ -127,7 +129,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = printable(&name.to_string_lossy());
     context.check_stop()?;
     if let Some(page) = &arguments.out {
-        Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth.poses)).write(page)?;
+        let report = Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth.poses));
+        let made_from = made_from(arguments, &config)?;
+        let provenance = pages::settings(&made_from);
+        Report {
+            provenance,
+            ..report
+        }
+        .write(page)?;
     }
     let judgement = Judgement::new(evaluation.findings.clone());
     let judged = Judged::new(&judgement, &name, &evaluation);
@@ -137,6 +146,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .to_owned()
     })?;
     Ok(Outcome::of(judgement.verdict()))
+}
+
+/// Settings and files of the page.
+fn made_from(arguments: &Arguments, config: &EvalConfig) -> anyhow::Result<Provenance> {
+    let mut made_from = Provenance::new(&serde_json::json!({
+        "align": config.alignment.key(),
+        "max_difference_secs": config.max_difference_secs,
+        "rpe_delta": arguments.rpe_delta,
+        "rpe_unit": arguments.rpe_unit,
+        "rpe_all_pairs": arguments.rpe_all_pairs,
+    }));
+    for path in [&arguments.estimate, &arguments.truth] {
+        made_from.add_input(path)?;
+    }
+    Ok(made_from)
 }
 
 fn config(arguments: &Arguments) -> EvalConfig {

@@ -1,8 +1,6 @@
 //! The page of a ground truth: the trajectory in its map, how certain it is over time, and what was left out of it.
 
-use lsfb_eval::report::{
-    Distribution, Figure, Marks, Provenance as Line, Report, Stretch, Table, Timeline, Upward,
-};
+use lsfb_eval::report::{Distribution, Figure, Marks, Report, Stretch, Table, Timeline, Upward};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::{
     CameraRefinement, GroundTruth, ImuRefinement, LocalizedInstant, ReprojectionErrors, Span,
@@ -12,6 +10,7 @@ use lsfb_recording::Provenance;
 use lsfb_types::{Finding, Timestamp};
 
 use super::map_report::track;
+use crate::pages;
 
 /// What the page is made from.
 pub struct WalkPage<'a> {
@@ -66,7 +65,7 @@ impl WalkPage<'_> {
                 imu(report.imu.as_ref()),
             ],
             findings: self.findings.clone(),
-            provenance: provenance(self.provenance),
+            provenance: pages::settings(self.provenance),
             ..Report::default()
         }
         .to_html()
@@ -384,26 +383,6 @@ fn imu(imu: Option<&ImuRefinement>) -> Table {
             .map(|(name, value)| vec![name.to_owned(), value])
             .collect(),
     }
-}
-
-/// Versions, hashes and settings.
-fn provenance(made_from: &Provenance) -> Vec<Line> {
-    let versions = made_from.versions.iter();
-    let mut lines: Vec<Line> = versions
-        .map(|(name, version)| Line {
-            name: name.clone(),
-            value: version.clone(),
-        })
-        .collect();
-    lines.extend(made_from.inputs.iter().map(|(name, hash)| Line {
-        name: format!("{name}, SHA-256"),
-        value: hash.clone(),
-    }));
-    lines.push(Line {
-        name: "settings".to_owned(),
-        value: serde_json::to_string_pretty(&made_from.config).unwrap_or_default(),
-    });
-    lines
 }
 
 /// A value for each error, spread evenly over its bin.

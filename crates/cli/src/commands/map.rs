@@ -13,9 +13,10 @@ use lsfb_types::Judgement;
 use serde::{Deserialize, Serialize};
 
 use super::map_control;
+use super::map_coverage::findings;
 use super::map_distances::MarkedDistances;
 use super::map_posed::PosedMapJob;
-use super::map_report::{MapPage, findings};
+use super::map_report::MapPage;
 use super::map_settings;
 use super::map_surface::check_source;
 use super::map_tools::{self, Tool};
@@ -162,10 +163,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let read = job.inputs();
     let built = job.build(context, |result| context.claim(result, &read))?;
-    let mut findings = findings(&built.map, &built.report);
     let marked = built.marked.as_ref();
-    findings.extend(marked.iter().flat_map(|marked| marked.findings()));
-    let judgement = Judgement::new(findings);
+    let judgement = built.judgement();
     let r = &built.report;
     let report = Reported {
         report: r,
@@ -203,6 +202,23 @@ pub struct WrittenMap {
     /// Distances between marks, where there are any.
     pub marked: Option<MarkedDistances>,
     pub provenance: Provenance,
+}
+
+impl WrittenMap {
+    /// What page, terminal and JSON say of it.
+    pub fn judgement(&self) -> Judgement {
+        judgement_of(&self.map, &self.report, self.marked.as_ref())
+    }
+}
+
+fn judgement_of(
+    map: &HdMap,
+    report: &MappingReport,
+    marked: Option<&MarkedDistances>,
+) -> Judgement {
+    let mut findings = findings(map, report);
+    findings.extend(marked.iter().flat_map(|marked| marked.findings()));
+    Judgement::new(findings)
 }
 
 /// What is said of a map that stands.
@@ -340,6 +356,8 @@ impl MapJob<'_> {
                 report: &said.report,
                 reprojection_errors_px: &said.reprojection_errors_px,
                 marked: said.marked.as_ref(),
+                judgement: &judgement_of(&result.map, &said.report, said.marked.as_ref()),
+                made_from: &provenance,
             };
             super::write(path, page.to_html())?;
             provenance.write(path)?;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use lsfb_eval::report::{Figure, Provenance as Line, Report, Track};
+use lsfb_eval::report::{Figure, Report, Track};
 use lsfb_eval::survey::{
     Judging, MarkDistance, compare_distances, expect_own_trajectory, judge_mark,
     judge_mark_distances, read_survey,
@@ -19,6 +19,7 @@ use crate::context::Context;
 use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Lines that a reader still reads; `--json` has all.
 const MOST_LINES: usize = 60;
@@ -251,12 +252,16 @@ pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::R
     let judgement = Judgement::new(findings);
     let name = name_of(&arguments.map);
     if let Some(out) = &arguments.out {
-        write(out, page(&name, &map, &found, &judgement).to_html())?;
         let mut provenance = Provenance::new(&config);
         for path in read {
             provenance.add_input(path)?;
         }
         provenance.add_input(&arguments.map.join(HdMap::HEADER))?;
+        let page = Report {
+            provenance: pages::settings(&provenance),
+            ..page(&name, &map, &found, &judgement)
+        };
+        write(out, page.to_html())?;
         provenance.write(out)?;
     }
     let judged = Judged::new(&judgement, &name, &found);
@@ -283,11 +288,8 @@ fn page(name: &str, map: &HdMap, found: &MarkedDistances, judgement: &Judgement)
             truth: None,
             errors: Vec::new(),
         }],
+        texts: vec![("Marks and distances".to_owned(), found.text())],
         findings: judgement.findings().to_vec(),
-        provenance: vec![Line {
-            name: "marks and distances".to_owned(),
-            value: found.text(),
-        }],
         ..Report::default()
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_eval::report::{Figure, Provenance as Line, Report};
+use lsfb_eval::report::{Figure, Report};
 use lsfb_pipeline::hd_map::{
     HdMap, PosedMapConfig, PosedMapReport, build_map_from_posed_images_in_stages,
 };
@@ -11,7 +11,8 @@ use lsfb_recording::Provenance;
 use lsfb_types::{Finding, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::map_report::{Coverage, by_camera};
+use super::map_coverage::Coverage;
+use super::map_report::by_camera;
 use crate::context::Context;
 use crate::standing;
 
@@ -73,7 +74,7 @@ impl PosedMapJob<'_> {
         provenance.with_failures(failures).write(self.out)?;
         let findings = findings(&map, &posed);
         if let Some(path) = self.out_report {
-            crate::files::write(path, self.page(&map, &report, &findings))?;
+            crate::files::write(path, self.page(&map, &report, &findings, &provenance))?;
             provenance.write(path)?;
         }
         let said = Said { report };
@@ -99,7 +100,13 @@ impl PosedMapJob<'_> {
         Ok(provenance)
     }
 
-    fn page(&self, map: &HdMap, report: &PosedMapReport, findings: &[Finding]) -> String {
+    fn page(
+        &self,
+        map: &HdMap,
+        report: &PosedMapReport,
+        findings: &[Finding],
+        made_from: &Provenance,
+    ) -> String {
         let coverage = Coverage::of(map);
         let px = |name: &str, px: f64| Figure::new(name, px, "px");
         let listed = report.as_listed.iter().flat_map(|listed| {
@@ -127,10 +134,8 @@ impl PosedMapJob<'_> {
             tracks: coverage.tracks("cameras"),
             histograms: coverage.histograms(report.reprojection_errors_px.iter().copied()),
             findings: findings.to_vec(),
-            provenance: vec![Line {
-                name: "unit of length".to_owned(),
-                value: "that of the poses given".to_owned(),
-            }],
+            introduction: "Lengths are in the unit of the poses given.".to_owned(),
+            provenance: crate::pages::settings(made_from),
             ..Report::default()
         }
         .to_html()

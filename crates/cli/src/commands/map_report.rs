@@ -1,16 +1,16 @@
 //! The page of a map: residuals before and after Eq. (4), coverage, weak stretches.
 
-use lsfb_eval::report::{Course, Distribution, Figure, Provenance, Report, Table, Track};
+use lsfb_eval::report::{Course, Distribution, Figure, Report, Table, Track};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::hd_map::{CameraResiduals, HdMap, PixelResiduals};
 use lsfb_pipeline::mapping::{MappingReport, RoundReport};
-use lsfb_types::{Finding, Limit, Verdict};
+use lsfb_recording::Provenance;
+use lsfb_types::Judgement;
 
 use super::map_control;
+use super::map_coverage::{Coverage, MIN_OBSERVATIONS_PER_KEYFRAME};
 use super::map_distances::MarkedDistances;
-
-/// A keyframe with fewer observations of map points than this could hardly be found in its own map.
-const MIN_OBSERVATIONS_PER_KEYFRAME: u64 = 30;
+use crate::pages;
 
 /// What the page is made from.
 pub struct MapPage<'a> {
@@ -21,18 +21,8 @@ pub struct MapPage<'a> {
     pub reprojection_errors_px: &'a [f32],
     /// Distances between marks.
     pub marked: Option<&'a MarkedDistances>,
-}
-
-/// What every reader of a map should know: warnings of its odometry and its mapping, and where nobody would be found.
-pub fn findings(map: &HdMap, report: &MappingReport) -> Vec<Finding> {
-    let mut findings = report.findings();
-    findings.push(coverage(map));
-    findings
-}
-
-/// Whether enough of the map is seen from everywhere on the way.
-pub fn coverage(map: &HdMap) -> Finding {
-    Coverage::of(map).finding()
+    pub judgement: &'a Judgement,
+    pub made_from: &'a Provenance,
 }
 
 impl MapPage<'_> {
@@ -43,23 +33,11 @@ impl MapPage<'_> {
         let (before, after) = (&report.lidar_before, &report.lidar_after);
         let mm = |name: &str, metres: f64| Figure::new(name, metres * 1e3, "mm");
         let px = |name: &str, px: f64| Figure::new(name, px, "px");
-        let mut findings = findings(self.map, report);
-        let mut provenance = vec![Provenance {
-            name: "iterations of Eq. (4)".to_owned(),
-            value: rounds(report),
-        }];
-        provenance.extend(report.control.as_ref().map(|control| Provenance {
-            name: "control points".to_owned(),
-            value: map_control::text(control),
-        }));
-        let marked_figures = self.marked.map_or_else(Vec::new, |marked| {
-            findings.extend(marked.findings());
-            provenance.push(Provenance {
-                name: "marks and distances".to_owned(),
-                value: marked.text(),
-            });
-            marked.figures()
-        });
+        let mut texts = vec![("Iterations of Eq. (4)".to_owned(), rounds(report))];
+        let control = report.control.as_ref().map(map_control::text);
+        texts.extend(control.map(|text| ("Control points".to_owned(), text)));
+        let marked = self.marked.map(MarkedDistances::text);
+        texts.extend(marked.map(|text| ("Marks and distances".to_owned(), text)));
         Report {
             title: format!("Map of {}", self.name),
             figures: vec![
@@ -77,7 +55,7 @@ impl MapPage<'_> {
             .into_iter()
             .chain(coverage.figures(report.dropped_observations, report.outlier_share))
             .chain(report.control.iter().flat_map(map_control::figures))
-            .chain(marked_figures)
+            .chain(self.marked.iter().flat_map(|marked| marked.figures()))
             .collect(),
             courses: courses(report),
             tables: vec![by_camera(&report.by_camera), by_region(report)],
@@ -85,48 +63,16 @@ impl MapPage<'_> {
             tracks: coverage.tracks("scanner"),
             histograms: coverage
                 .histograms(self.reprojection_errors_px.iter().map(|e| f64::from(*e))),
-            findings,
-            provenance,
+            texts,
+            findings: self.judgement.findings().to_vec(),
+            provenance: pages::settings(self.made_from),
             ..Report::default()
         }
         .to_html()
     }
 }
 
-/// How many observations of map points each keyframe has.
-pub struct Coverage {
-    keyframes: Vec<StampedPose>,
-    observations: Vec<u64>,
-    track_lengths: Vec<u64>,
-    /// Keyframes that see too little.
-    pub weak: Vec<StampedPose>,
-}
-
 impl Coverage {
-    /// Of a map.
-    pub fn of(map: &HdMap) -> Self {
-        let keyframes: Vec<StampedPose> = map.keyframes().collect();
-        let mut observations = vec![0; keyframes.len()];
-        let mut track_lengths = vec![0; map.point_count()];
-        for (point, length) in track_lengths.iter_mut().enumerate() {
-            for seen in map.observations(point as u32) {
-                *length += 1;
-                if let Some(count) = observations.get_mut(seen.keyframe as usize) {
-                    *count += 1;
-                }
-            }
-        }
-        let of_keyframe = keyframes.iter().zip(&observations);
-        let is_weak = |(_, count): &(&StampedPose, &u64)| **count < MIN_OBSERVATIONS_PER_KEYFRAME;
-        let weak = of_keyframe.filter(is_weak).map(|(pose, _)| *pose).collect();
-        Self {
-            keyframes,
-            observations,
-            track_lengths,
-            weak,
-        }
-    }
-
     /// The keyframes under this name, and those that see too little.
     pub fn tracks(&self, name: &str) -> Vec<Track> {
         let tracks = [
@@ -167,35 +113,6 @@ impl Coverage {
                 self.track_lengths.iter().map(|n| *n as f64),
             ),
         ]
-    }
-
-    /// Whether enough of the map is seen from everywhere on the way.
-    pub fn finding(&self) -> Finding {
-        let (weak, all) = (self.weak.len(), self.keyframes.len());
-        let limit = MIN_OBSERVATIONS_PER_KEYFRAME;
-        match self.weak.first() {
-            None => Finding::new(
-                "coverage",
-                Verdict::Pass,
-                "coverage",
-                format!("each of {all} keyframes sees at least {limit} map points"),
-            ),
-            Some(first) => {
-                let place = first.world_from_rig.translation;
-                Finding::new(
-                    "coverage",
-                    Verdict::Warn,
-                    "coverage",
-                    format!(
-                        "{weak} of {all} keyframes see fewer than {limit} map points, the first at ({:.1}, {:.1}, {:.1})",
-                        place.x, place.y, place.z
-                    ),
-                )
-                .remedy("walk there more slowly, with light and texture in view; walks cannot be localized there")
-            }
-        }
-        .value(weak as f64, "")
-        .limit(Limit::AtMost(0.0))
     }
 }
 

@@ -7,16 +7,18 @@ use lsfb_eval::report::{Figure, Report};
 use lsfb_geometry::{Se3, Trajectory, Vector2, Vector3};
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::surface::SurfaceConfig;
-use lsfb_recording::read_tum;
+use lsfb_recording::{Provenance, read_tum};
 use lsfb_types::{Finding, Judgement, median, quantile};
 use lsfb_view::{CameraPyramids, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, write_rrd};
 
-use super::map_report::{coverage, track};
+use super::map_coverage::coverage;
+use super::map_report::track;
 use super::map_surface::{check_source, insert_scans};
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Colours of the cameras, in order: distinguishable without red and green, and none of the points'.
 const COLORS: [[u8; 3]; 4] = [
@@ -87,6 +89,7 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
         None => (Vec::new(), Vec::new()),
     };
     let mut judgement = map.checks();
+    judgement.push(coverage(&map));
     agreement
         .into_iter()
         .for_each(|found| judgement.push(found));
@@ -115,7 +118,17 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
     })?;
     if let Some(page) = &arguments.out_report {
         let name = arguments.map.display().to_string();
-        files::write(page, to_html(&name, &map, keyframes, &surface, &judgement))?;
+        let mut made_from = Provenance::new(&());
+        made_from.add_input(&arguments.map.join(HdMap::HEADER))?;
+        let of_surface = [&arguments.recording, &arguments.trajectory];
+        for path in of_surface.into_iter().flatten() {
+            made_from.add_input(path)?;
+        }
+        let drawn = Report {
+            provenance: pages::settings(&made_from),
+            ..report(&name, &map, keyframes, &surface, &judgement)
+        };
+        files::write(page, drawn.to_html())?;
     }
     let summary = serde_json::json!({
         "points": map.point_count(),
@@ -249,14 +262,14 @@ impl Cells {
     }
 }
 
-/// The page.
-fn to_html(
+/// What the page shows.
+fn report(
     name: &str,
     map: &HdMap,
     keyframes: Trajectory,
     surface: &[Vector3<f64>],
     judgement: &Judgement,
-) -> String {
+) -> Report {
     let quality: Vec<_> = (0..map.point_count() as u32)
         .filter_map(|p| map.quality(p))
         .collect();
@@ -265,8 +278,6 @@ fn to_html(
     let errors = quality.iter().map(|q| q.reprojection_rms_px);
     let error_px = median(errors.collect()).unwrap_or(f64::INFINITY);
     let count = |name: &str, value: usize| Figure::new(name, value as f64, "");
-    let mut findings = vec![coverage(map)];
-    findings.extend(judgement.findings().iter().cloned());
     Report {
         title: format!("Map {name}"),
         figures: vec![
@@ -284,8 +295,7 @@ fn to_html(
         ],
         map_points: map.positions().chain(surface.iter().copied()).collect(),
         tracks: vec![track("keyframes", keyframes.poses().to_vec())],
-        findings,
+        findings: judgement.findings().to_vec(),
         ..Report::default()
     }
-    .to_html()
 }

@@ -31,6 +31,7 @@ mod inertial;
 pub mod localize;
 pub mod map;
 mod map_control;
+mod map_coverage;
 mod map_depth;
 mod map_distances;
 mod map_folder;

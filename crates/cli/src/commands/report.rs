@@ -12,6 +12,7 @@ use lsfb_eval::{
     read_trajectory,
 };
 use lsfb_geometry::{Trajectory, Vector3};
+use lsfb_recording::Provenance;
 use lsfb_types::{Finding, Judgement, Verdict};
 use serde::Serialize;
 
@@ -20,6 +21,7 @@ use crate::context::Context;
 use crate::files::write;
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Scans of a place that are drawn, and every how many of their points.
 const SCANS: usize = 40;
@@ -114,10 +116,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         views.estimates = judged(estimates, &folder, &description, &mut findings)?;
     }
     let judgement = Judgement::new(findings);
-    write(
-        &arguments.out,
-        views.page(&description, &measured, &judgement),
-    )?;
+    let mut made_from = Provenance::new(&serde_json::json!({
+        "estimates": arguments.estimates,
+        "inset_m": arguments.inset_m,
+    }));
+    // The description has the hashes of the dataset's other files.
+    made_from.add_input(&folder.description())?;
+    let page = views.page(&description, &measured, &judgement);
+    pages::write(&arguments.out, page, &made_from)?;
     let mut drawn = Drawn {
         page: &arguments.out,
         drawings: Vec::new(),

@@ -8,14 +8,17 @@ use lsfb_eval::survey::{
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
 use lsfb_geometry::StampedPose;
+use lsfb_recording::Provenance;
+use lsfb_report::Page;
 use lsfb_types::{Bounds, Finding, Judgement, OutOfBounds, Verdict};
 use serde::Serialize;
 
 use crate::bad_argument::BadArgument;
 use crate::context::Context;
-use crate::files::{name_of, write};
+use crate::files::name_of;
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
+use crate::pages;
 
 /// Compute floor marks from measured distances, and check a trajectory or a map against them.
 ///
@@ -107,13 +110,16 @@ fn run_solve(arguments: &SolveArguments, context: &Context) -> anyhow::Result<Ou
         solution: Some(&solution),
         ..SurveyView::default()
     };
-    draw(
-        &view,
-        &arguments.survey,
-        arguments.out.as_deref(),
-        &judgement,
-        context,
-    )?;
+    if let Some(out) = &arguments.out {
+        let page = view.page(&name_of(&arguments.survey), &judgement);
+        draw(
+            out,
+            page,
+            Provenance::new(&()),
+            &[&arguments.survey],
+            context,
+        )?;
+    }
     let judged = Judged::new(&judgement, &name_of(&arguments.survey), &solution);
     context.print(&judged, || {
         format!(
@@ -176,13 +182,18 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         at_marks: checked.at_marks.as_ref(),
         distances: checked.distances.as_ref(),
     };
-    draw(
-        &view,
-        &arguments.survey,
-        arguments.out.as_deref(),
-        &judgement,
-        context,
-    )?;
+    if let Some(out) = &arguments.out {
+        let mut read: Vec<&Path> = vec![&arguments.survey];
+        read.extend(arguments.trajectory.as_deref());
+        read.extend(arguments.recording.as_deref());
+        let made_from = Provenance::new(&serde_json::json!({
+            "rest_spread_m": arguments.rest_spread_m,
+            "rest_secs": arguments.rest_secs,
+            "reach_m": reach_m,
+        }));
+        let page = view.page(&name_of(&arguments.survey), &judgement);
+        draw(out, page, made_from, &read, context)?;
+    }
     let judged = Judged::new(&judgement, &name_of(&arguments.survey), &checked);
     context.print(&judged, || {
         format!("{}{}", checked_text(&checked), tail(&judgement))
@@ -192,20 +203,18 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
     Ok(Outcome::of(judgement.verdict()))
 }
 
-/// The page, where one is asked for.
+/// Writes the page, and on it what it was made of.
 fn draw(
-    view: &SurveyView<'_>,
-    survey: &Path,
-    out: Option<&Path>,
-    judgement: &Judgement,
+    out: &Path,
+    page: Page,
+    mut made_from: Provenance,
+    read: &[&Path],
     context: &Context,
 ) -> anyhow::Result<()> {
-    let Some(out) = out else {
-        return Ok(());
-    };
-    context.claim(out, &[survey])?;
+    context.claim(out, read)?;
+    read.iter().try_for_each(|path| made_from.add_input(path))?;
     context.check_stop()?;
-    write(out, view.page(&name_of(survey), judgement))
+    pages::write(out, page, &made_from)
 }
 
 fn rests(

@@ -52,7 +52,7 @@ impl DatasetViews {
         description: &Description,
         measured: &[SequenceFigures],
         judgement: &Judgement,
-    ) -> String {
+    ) -> Page {
         let tables = [
             ("Cameras", cameras_table(measured)),
             ("Environments", environments_table(description)),
@@ -73,7 +73,6 @@ impl DatasetViews {
         Page::new(description.title.clone())
             .judged(judgement, &what)
             .body(body)
-            .to_html()
     }
 
     /// The same maps and estimates as drawings for papers: a name, and SVG.
@@ -174,6 +173,7 @@ mod tests {
         };
         let description = Description::new("test", 30.0, 100.0);
         let page = views.page(&description, &[], &Judgement::new(Vec::new()));
+        let page = page.to_html();
         assert!(page.contains("Hall &lt;1&gt;"), "{page}");
         // Each device stands in the legend once.
         let keys = |name: &str| page.matches(&format!("</span>{name}</span>")).count();

@@ -57,14 +57,16 @@ pub struct Report {
     pub histograms: Vec<Distribution>,
     /// What is said in cells.
     pub tables: Vec<Table>,
+    /// What stands in columns already: heading and lines.
+    pub texts: Vec<(String, String)>,
     /// Values that went from step to step, one plot each.
     pub courses: Vec<Course>,
     /// How long each stage took, in the order they ran.
     pub stages: Vec<StageTime>,
     /// What else the reader should know before trusting a figure.
     pub findings: Vec<Finding>,
-    /// Seed, versions, configuration, hashes of the inputs.
-    pub provenance: Vec<Provenance>,
+    /// Seed, versions, configuration, hashes of the inputs: name and value, which may have several lines.
+    pub provenance: Vec<(String, String)>,
 }
 
 /// From where map and trajectories are seen.
@@ -138,15 +140,6 @@ pub struct StageTime {
     pub name: String,
     /// Wall-clock seconds.
     pub wall_secs: f64,
-}
-
-/// One line of where the results come from.
-#[derive(Clone, Debug)]
-pub struct Provenance {
-    /// Seed, version, input.
-    pub name: String,
-    /// Shown in fixed width; may have several lines.
-    pub value: String,
 }
 
 impl Report {

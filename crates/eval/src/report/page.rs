@@ -23,12 +23,13 @@ pub(super) fn render(report: &Report) -> String {
             (sections::stages(report))
         }
         @for table in &report.tables { (table::section(table)) }
+        @for (title, text) in &report.texts {
+            section { h2 { (title) } (scroll(&html! { pre { (text) } })) }
+        }
     };
-    let settings = report.provenance.iter();
-    let settings = settings.map(|p| (p.name.clone(), p.value.clone()));
     let page = Page::new(report.title.clone())
         .body(body)
-        .settings(settings.collect());
+        .settings(report.provenance.clone());
     let judgement = report.judgement();
     // Without a limit nothing was judged.
     if judgement.findings().is_empty() {
@@ -86,7 +87,7 @@ fn comparison(rows: &[Comparison]) -> Markup {
         @if !rows.is_empty() {
             section.comparison {
                 h2 { "Comparison" }
-                div.scroll tabindex="0" { table {
+                (scroll(&html! { table {
                     thead { tr {
                         th { "estimate" }
                         th.number { "ATE rmse (m)" } th.number { "ATE max (m)" } th.number { "ATE rmse (°)" }
@@ -104,7 +105,7 @@ fn comparison(rows: &[Comparison]) -> Markup {
                         td.number { (significant(100.0 * row.coverage)) }
                         td.number { (significant(row.matched_poses as f64)) }
                     } } }
-                } }
+                } }))
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Sections of the page that show rather than list.
 
-use lsfb_report::{SHADES, ink_css, rounded, significant, with_unit};
+use lsfb_report::{SHADES, ink_css, rounded, scroll, significant, with_unit};
 use maud::{Markup, html};
 
 use super::errors_over_time::{self, Length, Part};
@@ -172,23 +172,23 @@ pub(super) fn stages(report: &Report) -> Markup {
         .fold(0.0, f64::max)
         .max(1e-9);
     let total: f64 = report.stages.iter().map(|s| s.wall_secs).sum();
-    html! {
-        @if !report.stages.is_empty() {
-            section.stages {
-                h2 { "Time per stage" }
-                table {
-                    tbody {
-                        @for stage in &report.stages {
-                            tr {
-                                th scope="row" { (stage.name) }
-                                td.bar { span style=(format!("width:{:.1}%", (100.0 * stage.wall_secs / longest).clamp(0.0, 100.0))) { } }
-                                td.number { (format!("{:.1}", stage.wall_secs)) "\u{a0}s" }
-                            }
-                        }
+    let table = html! {
+        table {
+            tbody {
+                @for stage in &report.stages {
+                    tr {
+                        th scope="row" { (stage.name) }
+                        td.bar { span style=(format!("width:{:.1}%", (100.0 * stage.wall_secs / longest).clamp(0.0, 100.0))) { } }
+                        td.number { (format!("{:.1}", stage.wall_secs)) "\u{a0}s" }
                     }
-                    tfoot { tr { th scope="row" { "total" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
                 }
             }
+            tfoot { tr { th scope="row" { "total" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
+        }
+    };
+    html! {
+        @if !report.stages.is_empty() {
+            section.stages { h2 { "Time per stage" } (scroll(&table)) }
         }
     }
 }

@@ -204,11 +204,9 @@ fn made_up() -> Report {
                 "voxel_size_m = 0.25\nmax_range_m = 60.0\nthreads = 2",
             ),
         ]
-        .map(|(name, value)| Provenance {
-            name: name.to_owned(),
-            value: value.to_owned(),
-        })
+        .map(|(name, value)| (name.to_owned(), value.to_owned()))
         .to_vec(),
+        texts: vec![("Marks".to_owned(), "A 1.00 m".to_owned())],
     }
 }
 

@@ -183,8 +183,8 @@ impl MarkedTable {
     }
 
     /// A page of its own.
-    pub fn to_html(&self) -> String {
-        Page::new(self.title.clone()).body(self.section()).to_html()
+    pub fn page(&self) -> Page {
+        Page::new(self.title.clone()).body(self.section())
     }
 
     fn section(&self) -> Markup {

@@ -30,7 +30,7 @@ pub struct SurveyView<'a> {
 
 impl SurveyView<'_> {
     /// The page.
-    pub fn page(&self, name: &str, judgement: &Judgement) -> String {
+    pub fn page(&self, name: &str, judgement: &Judgement) -> Page {
         let body = html! {
             @if let Some(solution) = self.solution { (self.plan(solution)) }
             div.pair {
@@ -42,7 +42,6 @@ impl SurveyView<'_> {
         Page::new(format!("Survey {name}"))
             .judged(judgement, name)
             .body(body)
-            .to_html()
     }
 
     /// Marks as crosses, with the region that each is in, enlarged until it is seen, and the trajectory from above.

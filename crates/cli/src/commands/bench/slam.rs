@@ -2,14 +2,17 @@
 
 use std::path::PathBuf;
 
+use lsfb_eval::report::Report;
 use lsfb_eval::slam_bench::{
     Finished, RunConfig, RunResult, SlamTable, page_of, read_plan, run_plan, table_of,
 };
+use lsfb_recording::Provenance;
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
+use crate::pages;
 use crate::standing::program_sha256;
 
 /// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
@@ -74,18 +77,28 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let runs = run_plan(&plan, &arguments.out, config, &|p| context.show(p))?;
     let table = table_of(&plan, &runs);
     let marked = table.marked();
-    let texts = [
-        marked.to_text(),
-        marked.to_csv(),
-        marked.to_latex(),
-        marked.to_html(),
-    ];
-    for (table, text) in tables.iter().zip(texts) {
-        write(table, text)?;
+    let [text, csv, latex, page] = &tables;
+    write(text, marked.to_text())?;
+    write(csv, marked.to_csv())?;
+    write(latex, marked.to_latex())?;
+    // The plan is the settings: whoever has only the page can run it again.
+    let mut made_from = Provenance::new(&std::fs::read_to_string(&arguments.plan)?);
+    made_from.add_input(&arguments.plan)?;
+    for sequence in &plan.sequences {
+        made_from.add_input(&sequence.truth)?;
     }
+    pages::write(page, marked.page(), &made_from)?;
     for (page, sequence) in pages.iter().zip(&plan.sequences) {
-        if let Some(text) = page_of(&plan, &arguments.out, sequence, &runs)? {
-            write(page, text)?;
+        if let Some(report) = page_of(&plan, &arguments.out, sequence, &runs)? {
+            let provenance = pages::settings(&made_from);
+            write(
+                page,
+                Report {
+                    provenance,
+                    ..report
+                }
+                .to_html(),
+            )?;
         }
     }
     let printed = Printed {

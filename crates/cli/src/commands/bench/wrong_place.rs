@@ -78,7 +78,7 @@ impl Placed {
             "{} poses given, {} wrong",
             self.exported, self.exported_wrong
         );
-        Finding::new("exported_wrong", verdict, self.name(), what)
+        Finding::new("exported-wrong", verdict, self.name(), what)
             .value(self.exported_wrong as f64, "")
             .limit(Limit::AtMost(0.0))
     }

@@ -1,5 +1,6 @@
 //! `lsfb demo`: the main job from nothing, in one folder.
 
+mod figures;
 mod page;
 
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
 use lsfb_sim::SimConfig;
-use lsfb_types::{Judgement, Verdict};
+use lsfb_types::Verdict;
 use serde::Serialize;
 
 use super::groundtruth::WalkJob;
@@ -162,9 +163,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         watch.lap("viewer file");
     }
     let localized = &walk.said.report;
-    let mut findings = map.report.findings();
-    findings.extend(walk.said.findings());
-    let judgement = Judgement::new(findings);
     let summary = Summary {
         seed: sim_config.seed,
         ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
@@ -182,8 +180,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages_s: watch.stages,
         outputs: files,
     };
-    let findings = judgement.findings();
-    let page = page::report(&summary, &judged, &map, &walk, findings, &sim_config)?;
+    let mut findings = map.judgement().findings().to_vec();
+    findings.extend(walk.said.findings());
+    let figures = figures::figures(&summary, &map.report, localized);
+    let shown = (figures, findings);
+    let page = page::report(&summary, &judged, &map, &walk, shown, &sim_config)?;
+    // Of the figures with limits and of the stages: the page, the terminal and the exit code say the same.
+    let judgement = page.judgement();
     page.write(&summary.outputs.report)?;
     // Last of all: a folder that has it is finished.
     super::write(&layout.file(FINISHED), serde_json::to_vec_pretty(&summary)?)?;

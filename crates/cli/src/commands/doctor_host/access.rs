@@ -31,6 +31,7 @@ const GOOD_RT_PRIORITY: u64 = 60;
 /// A nice value of -15, as the kernel counts it.
 const GOOD_NICE: u64 = 35;
 const GOOD_OPEN_FILES: u64 = 4_096;
+const GOOD_LOCKED_BYTES: u64 = 64 << 20;
 
 /// Numbers of a field of this process's status.
 fn own_ids(root: &Path, field: &str) -> Vec<u32> {
@@ -112,10 +113,12 @@ fn installed(
             Some(_) => {}
         }
     }
+    let wrong = (missing.len() + other.len()) as f64;
+    let judged = |finding: Finding| finding.value(wrong, "files").limit(Limit::AtMost(0.0));
     if missing.is_empty() && other.is_empty() {
         let count = files.len();
         let files = if count == 1 { "file" } else { "files" };
-        return check(name, Verdict::Pass, format!("{count} {files}"), "");
+        return judged(check(name, Verdict::Pass, format!("{count} {files}"), ""));
     }
     let mut found = Vec::new();
     if !missing.is_empty() {
@@ -124,7 +127,7 @@ fn installed(
     if !other.is_empty() {
         found.push(format!("not those of this version: {}", other.join(", ")));
     }
-    check(name, Verdict::Warn, found.join("; "), INSTALL)
+    judged(check(name, Verdict::Warn, found.join("; "), INSTALL))
 }
 
 /// The soft limit of a resource; `u64::MAX` where there is none.
@@ -142,8 +145,21 @@ pub(super) fn real_time(root: &Path) -> Finding {
     let locked = limit(root, "Max locked memory").unwrap_or_default();
     // 20 less the lowest nice value that may be asked for.
     let nice = limit(root, "Max nice priority").unwrap_or_default();
-    let may_hurry = priority >= GOOD_RT_PRIORITY && nice >= GOOD_NICE;
-    let good = (may_hurry || is_root(root)) && locked >= 64 << 20;
+    let locked_mb = locked as f64 / 1e6;
+    let good_locked_mb = GOOD_LOCKED_BYTES as f64 / 1e6;
+    let hurry = [
+        (priority as f64, "", GOOD_RT_PRIORITY as f64),
+        (nice as f64, "", GOOD_NICE as f64),
+    ];
+    let needed = match is_root(root) {
+        true => &[][..],
+        false => &hurry[..],
+    };
+    let needed = [needed, &[(locked_mb, "MB", good_locked_mb)]].concat();
+    // The number of the finding is the first that is too low.
+    let low = needed.iter().find(|(value, _, least)| value < least);
+    let good = low.is_none();
+    let (value, unit, least) = *low.unwrap_or(&needed[0]);
     let locked_text = match locked {
         u64::MAX => "unlimited".to_owned(),
         bytes => format!("{} kB of", bytes / 1024),
@@ -154,6 +170,8 @@ pub(super) fn real_time(root: &Path) -> Finding {
         format!("priority up to {priority}, nice limit {nice}, {locked_text} locked memory"),
         format!("{INSTALL} --user $USER, then log in again"),
     )
+    .value(value, unit)
+    .limit(Limit::AtLeast(least))
 }
 
 pub(super) fn open_files(root: &Path) -> Finding {

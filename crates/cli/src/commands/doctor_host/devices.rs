@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_types::{Finding, Verdict};
+use lsfb_types::{Finding, Limit, Verdict};
 
 use super::{INSTALL, check, folders, number, read};
 
@@ -24,8 +24,8 @@ pub(super) fn cameras(root: &Path) -> Finding {
         }
     }
     let slow = speeds.iter().filter(|speed| **speed < USB3_MBIT_S).count();
-    match (speeds.len(), slow) {
-        (0, _) => check(name, Verdict::Unknown, "none is plugged in", ""),
+    let found = match (speeds.len(), slow) {
+        (0, _) => return check(name, Verdict::Unknown, "none is plugged in", ""),
         (units, 0) => check(name, Verdict::Pass, format!("{units} on USB 3"), ""),
         (units, slow) => check(
             name,
@@ -33,7 +33,10 @@ pub(super) fn cameras(root: &Path) -> Finding {
             format!("{slow} of {units} on a slow port or cable"),
             "plug each into a USB 3 port of its own, without a hub",
         ),
-    }
+    };
+    found
+        .value(slow as f64, "cameras")
+        .limit(Limit::AtMost(0.0))
 }
 
 pub(super) fn serial_latency(root: &Path) -> Finding {
@@ -44,8 +47,8 @@ pub(super) fn serial_latency(root: &Path) -> Finding {
         .filter(|line| number(line, "latency_timer").is_some_and(|ms| ms > 1))
         .filter_map(|line| Some(line.file_name()?.to_string_lossy().into_owned()))
         .collect();
-    match (lines.len(), late.len()) {
-        (0, _) => check(name, Verdict::Unknown, "none is plugged in", ""),
+    let found = match (lines.len(), late.len()) {
+        (0, _) => return check(name, Verdict::Unknown, "none is plugged in", ""),
         (all, 0) => check(name, Verdict::Pass, format!("{all}, without delay"), ""),
         (_, _) => check(
             name,
@@ -53,5 +56,8 @@ pub(super) fn serial_latency(root: &Path) -> Finding {
             format!("{} buffer bytes for several milliseconds", late.join(", ")),
             INSTALL,
         ),
-    }
+    };
+    found
+        .value(late.len() as f64, "converters")
+        .limit(Limit::AtMost(0.0))
 }

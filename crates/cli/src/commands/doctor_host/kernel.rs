@@ -45,19 +45,17 @@ pub(super) fn receive_buffer(root: &Path) -> Finding {
 }
 
 pub(super) fn backlog(root: &Path) -> Finding {
-    let found = number(root, "proc/sys/net/core/netdev_max_backlog");
-    let good = found.is_none_or(|packets| packets >= GOOD_BACKLOG);
-    check(
-        "network backlog",
-        Verdict::Warn.unless(good),
-        match found {
-            Some(packets) => format!("net.core.netdev_max_backlog = {packets}"),
-            None => "not visible in this network namespace".to_owned(),
-        },
-        format!(
+    let name = "network backlog";
+    let Some(packets) = number(root, "proc/sys/net/core/netdev_max_backlog") else {
+        let what = "not visible in this network namespace";
+        return check(name, Verdict::Unknown, what, "check it on the host");
+    };
+    let what = format!("net.core.netdev_max_backlog = {packets}");
+    check(name, Verdict::Warn, what, "")
+        .judged(packets as f64, "packets", Limit::AtLeast(GOOD_BACKLOG as f64))
+        .remedy(format!(
             "sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}; to make it permanent: {INSTALL}"
-        ),
-    )
+        ))
 }
 
 pub(super) fn dirty_pages(root: &Path) -> Finding {
@@ -84,21 +82,22 @@ pub(super) fn dirty_pages(root: &Path) -> Finding {
 pub(super) fn usbfs(root: &Path) -> Finding {
     let name = "USB buffers";
     match number(root, "sys/module/usbcore/parameters/usbfs_memory_mb") {
-        // Zero is no limit.
-        Some(megabytes) if megabytes == 0 || megabytes >= GOOD_USBFS_MB => check(
-            name,
-            Verdict::Pass,
-            format!("usbfs_memory_mb = {megabytes}"),
-            "",
-        ),
-        Some(megabytes) => check(
-            name,
-            Verdict::Warn,
-            format!("usbfs_memory_mb = {megabytes}: too little for cameras read through libusb"),
-            format!(
+        Some(0) => check(name, Verdict::Pass, "usbfs_memory_mb = 0: no limit", ""),
+        Some(megabytes) => {
+            let good = megabytes >= GOOD_USBFS_MB;
+            let why = if good {
+                ""
+            } else {
+                ": too little for cameras read through libusb"
+            };
+            let what = format!("usbfs_memory_mb = {megabytes}{why}");
+            let remedy = format!(
                 "echo {GOOD_USBFS_MB} | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb; to make it permanent: {INSTALL}"
-            ),
-        ),
+            );
+            check(name, Verdict::Warn.unless(good), what, remedy)
+                .value(megabytes as f64, "MB")
+                .limit(Limit::AtLeast(GOOD_USBFS_MB as f64))
+        }
         None => check(
             name,
             Verdict::Warn,

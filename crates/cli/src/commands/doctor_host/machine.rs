@@ -20,7 +20,7 @@ pub(super) fn governor(root: &Path) -> Finding {
         return check(name, Verdict::Pass, "fixed (no frequency scaling)", "");
     }
     let slow: Vec<_> = governors.iter().filter(|g| *g != "performance").collect();
-    match slow.first() {
+    let found = match slow.first() {
         None => check(name, Verdict::Pass, "governor performance", ""),
         Some(governor) => check(
             name,
@@ -32,7 +32,10 @@ pub(super) fn governor(root: &Path) -> Finding {
             ),
             "sudo cpupower frequency-set -g performance",
         ),
-    }
+    };
+    found
+        .value(slow.len() as f64, "cores")
+        .limit(Limit::AtMost(0.0))
 }
 
 pub(super) fn memory(root: &Path) -> Finding {

@@ -161,6 +161,18 @@ impl Input {
         }
     }
 
+    /// Map, rig, settings and, of a walk, its recording: what a page of it was made of.
+    pub fn made_from(&self, map: &Path, config: &LocalizerConfig) -> anyhow::Result<Provenance> {
+        match self {
+            Self::Images { rig, .. } => made_from(map, rig, config),
+            Self::Walk { walk, rig } => {
+                let mut made_from = made_from(map, rig, config)?;
+                made_from.add_input(walk.path())?;
+                Ok(made_from)
+            }
+        }
+    }
+
     /// Images that the same command localized before it was stopped; `None` of a walk, which is kept otherwise.
     pub fn unfinished(
         &self,
@@ -168,10 +180,10 @@ impl Input {
         map: &Path,
         config: &LocalizerConfig,
     ) -> anyhow::Result<Option<Unfinished>> {
-        let Self::Images { rig, .. } = self else {
+        if let Self::Walk { .. } = self {
             return Ok(None);
-        };
-        let made_from = made_from(map, rig, config)?;
+        }
+        let made_from = self.made_from(map, config)?;
         let program = crate::standing::program_sha256()?;
         Ok(Some(Unfinished::open(result, program, &made_from)?))
     }
@@ -184,12 +196,10 @@ impl Input {
         config: &LocalizerConfig,
         context: &Context,
     ) -> anyhow::Result<KeptStages> {
-        let Self::Walk { walk, rig } = self else {
+        if let Self::Images { .. } = self {
             return Ok(KeptStages::none());
-        };
-        let mut made_from = made_from(map, rig, config)?;
-        made_from.add_input(walk.path())?;
-        context.kept_stages(result, &made_from)
+        }
+        context.kept_stages(result, &self.made_from(map, config)?)
     }
 
     /// Localizes each frame, but for those that are known from before.

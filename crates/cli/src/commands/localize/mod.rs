@@ -207,7 +207,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         };
         let judged = (&summary, &judgement);
         let page = page::page(judged, &page_input, &localizer, &mut detector, context)?;
-        crate::files::write(path, page)?;
+        crate::pages::write(path, page, &input.made_from(&map, &config)?)?;
     }
     context.print(&Judged::new(&judgement, "localization", &summary), || {
         let text = format!("{}\n{}", text(&summary), problem_lines(&judgement));

@@ -24,14 +24,14 @@ pub struct PageInput<'a> {
     pub inliers: &'a [Inliers],
 }
 
-/// The page as text.
+/// The page.
 pub fn page(
     (summary, judgement): (&Summary, &Judgement),
     page_input: &PageInput,
     localizer: &Localizer,
     detector: &mut FeatureDetector,
     context: &Context,
-) -> anyhow::Result<String> {
+) -> anyhow::Result<Page> {
     let frames = &summary.frames;
     let lost: Vec<usize> = (0..frames.len())
         .filter(|k| !frames[*k].localized)
@@ -82,7 +82,7 @@ pub fn page(
         }
     };
     let page = Page::new("Localization").judged(judgement, "");
-    Ok(page.body(body).to_html())
+    Ok(page.body(body))
 }
 
 /// Lost frames by their reasons, without the numbers in these, the most frequent first.

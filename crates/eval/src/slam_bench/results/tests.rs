@@ -224,7 +224,7 @@ fn the_median_run_counts() {
     );
     assert!(table.rows[0].cells[0].remarks.is_empty());
     let marked = table.marked();
-    for form in [marked.to_text(), marked.to_html()] {
+    for form in [marked.to_text(), marked.page().to_html()] {
         assert!(form.contains("1 of 3 runs failed"), "{form}");
     }
 }

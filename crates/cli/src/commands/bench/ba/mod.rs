@@ -8,11 +8,13 @@ mod runs;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use lsfb_recording::Provenance;
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::files::{named_path, write};
 use crate::outcome::Outcome;
+use crate::pages;
 use page::page_of;
 use peer::{Program, program};
 use problem::Grown;
@@ -110,7 +112,19 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         poses_apart_m,
         solvers: runs.iter().map(|run| run.summary(&runs[1])).collect(),
     };
-    write(&page, page_of(&runs, &printed.solvers, &about(&printed)))?;
+    let mut made_from = Provenance::new(&serde_json::json!({
+        "keyframes": arguments.keyframes,
+        "points": arguments.points,
+        "map_percent": arguments.map_percent,
+        "seed": arguments.seed,
+        "batch_every": arguments.batch_every,
+    }));
+    inputs
+        .iter()
+        .chain([&problem.as_path()])
+        .try_for_each(|path| made_from.add_input(path))?;
+    let content = page_of(&runs, &printed.solvers, &about(&printed));
+    pages::write(&page, content, &made_from)?;
     context.print(&printed, || {
         let lines = printed.solvers.iter().map(Summary::line);
         let lines: Vec<String> = lines.collect();

@@ -8,7 +8,7 @@ use super::runs::{Run, Summary};
 const SIZE_PX: [u32; 2] = [760, 340];
 
 /// Like the paper's Fig. 4.
-pub fn page_of(runs: &[Run], summaries: &[Summary], about: &str) -> String {
+pub fn page_of(runs: &[Run], summaries: &[Summary], about: &str) -> Page {
     let last = runs.iter().flat_map(|run| run.updates.last());
     let last = last.map(|u| u.keyframe).max().unwrap_or(1);
     let times = runs
@@ -31,17 +31,15 @@ pub fn page_of(runs: &[Run], summaries: &[Summary], about: &str) -> String {
             span.key { span.line style=(format!("border-color:{}", ink_css(k))) {} (run.name) " " }
         }
     };
-    Page::new("Bundle adjustment, keyframe by keyframe")
-        .body(html! {
-            section {
-                h2 { "Time per update" }
-                p { (about) }
-                figure { (plot.draw()) figcaption { (legend) } }
-            }
-            section {
-                h2 { "Results" }
-                @for summary in summaries { p { (summary.line()) } }
-            }
-        })
-        .to_html()
+    Page::new("Bundle adjustment, keyframe by keyframe").body(html! {
+        section {
+            h2 { "Time per update" }
+            p { (about) }
+            figure { (plot.draw()) figcaption { (legend) } }
+        }
+        section {
+            h2 { "Results" }
+            @for summary in summaries { p { (summary.line()) } }
+        }
+    })
 }

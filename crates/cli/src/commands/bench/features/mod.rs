@@ -12,14 +12,16 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use lsfb_pipeline::features::{DESCRIPTOR_LEN, Features};
+use lsfb_recording::Provenance;
 use lsfb_types::{Image, Progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::commands::models::ModelFolder;
 use crate::context::Context;
-use crate::files::{named_path, write};
+use crate::files::{name_of, named_path, write};
 use crate::outcome::Outcome;
+use crate::pages;
 use contestants::Contestant;
 use pairs::Pairs;
 use scores::{PlanarScore, areas, matched, matchings, planar, pose_error_deg};
@@ -129,7 +131,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let about = about(&printed);
     write(&json, serde_json::to_vec_pretty(&printed)?)?;
-    write(&page, table::page(&printed.features, &about))?;
+    let folders = |named: &[PathBuf]| named.iter().map(|path| name_of(path)).collect::<Vec<_>>();
+    let made_from = Provenance::new(&serde_json::json!({
+        "images": folders(&arguments.images),
+        "posed_images": folders(&arguments.posed_images),
+        "feature": names,
+        "homography_images": arguments.homography_images,
+        "pose_pairs": arguments.pose_pairs,
+        "seed": arguments.seed,
+    }));
+    pages::write(&page, table::page(&printed.features, &about), &made_from)?;
     context.print(&printed, || table::text(&printed.features, &about))?;
     Ok(Outcome::Done)
 }

@@ -145,22 +145,20 @@ pub fn text(rows: &[Row], about: &str) -> String {
 }
 
 /// The page.
-pub fn page(rows: &[Row], about: &str) -> String {
-    Page::new("Comparison of features")
-        .body(html! {
-            p { (about) }
-            p.note {
-                "Repeatability: share of keypoints with a keypoint of the other image within the \
-                 limit. MMA: share of mutual nearest neighbours within the limit. AUC: area under \
-                 the recall curve over the larger of rotation and direction error, for matches as \
-                 used for maps; behind the slash, for mutual nearest neighbours only. In per cent, \
-                 except counts, milliseconds and bytes."
-            }
-            section { h2 { "All pairs" } (scroll(&table(&HEADS, rows.iter().map(Row::cells)))) }
-            section { h2 { "By image change" } (scroll(&by_kind(rows))) }
-            section { h2 { "By place" } (scroll(&by_place(rows))) }
-        })
-        .to_html()
+pub fn page(rows: &[Row], about: &str) -> Page {
+    Page::new("Comparison of features").body(html! {
+        p { (about) }
+        p.note {
+            "Repeatability: share of keypoints with a keypoint of the other image within the \
+             limit. MMA: share of mutual nearest neighbours within the limit. AUC: area under \
+             the recall curve over the larger of rotation and direction error, for matches as \
+             used for maps; behind the slash, for mutual nearest neighbours only. In per cent, \
+             except counts, milliseconds and bytes."
+        }
+        section { h2 { "All pairs" } (scroll(&table(&HEADS, rows.iter().map(Row::cells)))) }
+        section { h2 { "By image change" } (scroll(&by_kind(rows))) }
+        section { h2 { "By place" } (scroll(&by_place(rows))) }
+    })
 }
 
 fn table(heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {

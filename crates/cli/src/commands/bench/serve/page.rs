@@ -5,7 +5,7 @@ use lsfb_report::{Page, scroll};
 use maud::{Markup, html};
 
 /// The form, and a table for each sequence.
-pub fn board(title: &str, sequences: &[(&str, Vec<Ranked>)], most_bytes: usize) -> String {
+pub fn board(title: &str, sequences: &[(&str, Vec<Ranked>)], most_bytes: usize) -> Page {
     let body = html! {
         section {
             h2 { "Upload a trajectory" }
@@ -29,9 +29,7 @@ pub fn board(title: &str, sequences: &[(&str, Vec<Ranked>)], most_bytes: usize) 
         }
         p { "Teams that cover less than " (100.0 * RANKED_COVERAGE) " % of a sequence are not ranked." }
     };
-    Page::new(format!("Leaderboard: {title}"))
-        .body(body)
-        .to_html()
+    Page::new(format!("Leaderboard: {title}")).body(body)
 }
 
 /// What an upload got.

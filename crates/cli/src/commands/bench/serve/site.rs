@@ -9,6 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use lsfb_eval::dataset::{DatasetFolder, Description};
 use lsfb_eval::leaderboard::{Score, Submission, score};
 use lsfb_eval::{ReadOptions, TrajectoryFile, read_trajectory};
+use lsfb_recording::Provenance;
 use lsfb_web::{
     Answer, Field, Incoming, Method, Names, Request, StatusCode, Visit, blocking, body, fields,
     file_of, is_own_page, json_of, said, under,
@@ -18,6 +19,7 @@ use super::kept::Kept;
 use super::page;
 use super::rate::RateLimit;
 use crate::judged::printable;
+use crate::pages;
 
 /// How long an upload may take.
 const UPLOAD_TIMEOUT: Duration = Duration::from_secs(30);
@@ -33,6 +35,8 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; form-action
 /// The leaderboard.
 pub struct Site {
     title: String,
+    /// Of the board.
+    settings: Vec<(String, String)>,
     /// Sequences whose truth is there.
     truths: BTreeMap<String, TrajectoryFile>,
     /// Where an upload is while it is judged.
@@ -78,8 +82,11 @@ impl Site {
                 truths.insert(query.name.clone(), truth);
             }
         }
+        let mut made_from = Provenance::new(&serde_json::json!({ "most_bytes": most_bytes }));
+        made_from.add_input(&folder.description())?;
         Ok(Self {
             title: description.title.clone(),
+            settings: pages::settings(&made_from),
             truths,
             upload: out.join("upload.part"),
             kept: Kept::open(&out.join("submissions.jsonl"))?,
@@ -124,6 +131,8 @@ impl Site {
             .keys()
             .map(|name| (name.as_str(), self.kept.ranking(name)));
         page::board(&self.title, &sequences.collect::<Vec<_>>(), self.most_bytes)
+            .settings(self.settings.clone())
+            .to_html()
     }
 
     fn scores(&self) -> Answer {

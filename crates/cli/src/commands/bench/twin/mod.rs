@@ -19,6 +19,7 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use lsfb_recording::Provenance;
 use lsfb_sim::{Device, Look, Place};
 use serde::Serialize;
 
@@ -27,6 +28,7 @@ use crate::commands::sim::device;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::pages;
 use at_once::each_part;
 use cost::{Cost, Costs};
 use result::Run;
@@ -222,7 +224,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let name = |scanned: &Scanned| format!("{} {}", scanned.place.name(), scanned.seed);
     let runs = each_part(&scans, at_once, context, name, runs_of)?;
     let runs = runs.concat();
-    finish(&arguments.out, &runs, trial.size, context)
+    finish(arguments, &runs, trial.size, context)
 }
 
 /// How far a trial is.
@@ -279,13 +281,39 @@ fn each_once<T: Copy + PartialEq>(chosen: &[T]) -> Vec<T> {
     once
 }
 
+/// The settings of a trial, as far as results depend on them: everything else it makes itself.
+fn made_from(arguments: &Arguments) -> Provenance {
+    let names = |all: &mut dyn Iterator<Item = &'static str>| all.collect::<Vec<_>>();
+    let places = or_all(&arguments.places, &Place::ENVIRONMENTS);
+    let devices = or_all(&arguments.devices, &Device::ALL);
+    Provenance::new(&serde_json::json!({
+        "places": names(&mut places.into_iter().map(Place::name)),
+        "devices": names(&mut devices.into_iter().map(Device::name)),
+        "conditions": names(&mut arguments.conditions.iter().map(|c| c.name())),
+        "seed": arguments.seed,
+        "seeds": arguments.seeds,
+        "quick": arguments.quick,
+        "try_out": arguments.try_out,
+        "true_rigs": arguments.true_rigs,
+        "simple_light": arguments.simple_light,
+        "plain_look": arguments.plain_look,
+    }))
+}
+
 /// Writes and prints the result.
-fn finish(out: &Path, runs: &[Run], size: Size, context: &Context) -> anyhow::Result<Outcome> {
+fn finish(
+    arguments: &Arguments,
+    runs: &[Run],
+    size: Size,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let out = &arguments.out;
     let judgement = summary::judge(runs, size);
     let groups = &summary::groups(runs)[..];
     let page = out.join(PAGE);
     let title = "Standard trial in simulated places";
-    crate::files::write(&page, page::html(runs, groups, &judgement, title))?;
+    let content = page::page(runs, groups, &judgement, title);
+    pages::write(&page, content, &made_from(arguments))?;
     let printed = Printed {
         runs,
         groups,

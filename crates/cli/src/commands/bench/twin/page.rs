@@ -8,7 +8,7 @@ use super::result::Run;
 use super::summary::{Group, MeanAndWorst};
 
 /// The whole page.
-pub fn html(runs: &[Run], groups: &[Group], judgement: &Judgement, title: &str) -> String {
+pub fn page(runs: &[Run], groups: &[Group], judgement: &Judgement, title: &str) -> Page {
     let body = html! {
         p.note {
             "Simulated recordings: walks go beside the scanner's path, and rigs are calibrated with \
@@ -32,7 +32,6 @@ pub fn html(runs: &[Run], groups: &[Group], judgement: &Judgement, title: &str) 
     Page::new(title)
         .judged(judgement, &format!("{} runs", runs.len()))
         .body(body)
-        .to_html()
 }
 
 fn number(value: Option<f64>, factor: f64, digits: usize) -> String {

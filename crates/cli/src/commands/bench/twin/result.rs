@@ -177,7 +177,7 @@ impl Run {
             self.exported
         );
         findings.push(
-            Finding::new("exported_wrong", verdict, self.name(), what)
+            Finding::new("exported-wrong", verdict, self.name(), what)
                 .value(self.exported_wrong as f64, "")
                 .limit(Limit::AtMost(0.0)),
         );

@@ -211,7 +211,7 @@ pub fn judge(runs: &[Run], size: Size) -> Judgement {
     let mut findings: Vec<Finding> = runs.iter().flat_map(Run::findings).collect();
     if runs.iter().all(|run| run.scanner_ate_rms_m.is_none()) {
         let what = "no place was mapped, so that no walk was tried";
-        findings.push(Finding::new("nothing_tried", Verdict::Fail, "trial", what));
+        findings.push(Finding::new("nothing-tried", Verdict::Fail, "trial", what));
         return Judgement::new(findings);
     }
     if size == Size::TryOut {
@@ -220,7 +220,7 @@ pub fn judge(runs: &[Run], size: Size) -> Judgement {
     let mut in_map = runs.iter().filter(|run| run.is_in_map()).peekable();
     if in_map.peek().is_some() && in_map.all(|run| run.refused.is_some()) {
         let what = "all walks were refused: nothing to evaluate";
-        findings.push(Finding::new("all_refused", Verdict::Fail, "trial", what));
+        findings.push(Finding::new("all-refused", Verdict::Fail, "trial", what));
     }
     findings.extend(runs.iter().filter(|r| r.is_standard()).flat_map(of_run));
     findings.extend(groups(runs).iter().flat_map(Group::findings));
@@ -416,7 +416,7 @@ mod tests {
         assert_eq!(verdict(&[unusable]), Verdict::Warn);
         assert_eq!(verdict(&[right(), refused(right())]), Verdict::Warn);
         let all = [refused(right()), refused(right())];
-        assert!(problems(&all).contains(&"all_refused".to_owned()));
+        assert!(problems(&all).contains(&"all-refused".to_owned()));
         assert_eq!(verdict(&all), Verdict::Fail);
         assert_eq!(judge(&all, Size::TryOut).verdict(), Verdict::Warn);
         let untried = Run {
@@ -424,7 +424,7 @@ mod tests {
             map_in_view_s: None,
             ..refused(right())
         };
-        assert_eq!(problems(&[untried]), ["nothing_tried", "refused"]);
+        assert_eq!(problems(&[untried]), ["nothing-tried", "refused"]);
     }
 
     /// On another floor a walk that is refused is answered rightly, and no figure is asked of it.
