@@ -5,7 +5,7 @@ use std::error::Error;
 use std::sync::Arc;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3, UnitQuaternion, Vector2, Vector3, Vector6};
-use lsfb_pipeline::preintegration::{ImuBias, NavState, PreintegratedImu};
+use lsfb_perception::imu::{ImuBias, NavState, PreintegratedImu};
 use lsfb_pipeline::residuals::{BiasWalk, ImuPreintegration, ObservingCamera, Reprojection};
 use lsfb_solver::{Block, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, VectorPrior};
 

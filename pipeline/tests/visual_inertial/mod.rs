@@ -12,10 +12,10 @@ use std::path::PathBuf;
 
 use lsfb_geometry::align::{Alignment, Scale, umeyama};
 use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
+use lsfb_perception::imu::{ImuBias, NavState};
 use lsfb_pipeline::ground_truth::{
     Beginning, Motion, MotionConfig, TrackedWalk, motion_without_map,
 };
-use lsfb_pipeline::preintegration::{ImuBias, NavState};
 use lsfb_pipeline::{Error, Refusal};
 use lsfb_types::{ImuSample, no_progress};
 use nalgebra::{SMatrix, SVector};

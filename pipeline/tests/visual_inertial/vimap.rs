@@ -8,8 +8,8 @@ use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, RigCamera, Se3, StampedPose, Trajectory, UnitQuaternion,
     Vector2, Vector3,
 };
+use lsfb_perception::imu::{ImuBias, NavState};
 use lsfb_pipeline::ground_truth::{Sight, TrackedFrame, TrackedWalk};
-use lsfb_pipeline::preintegration::{ImuBias, NavState};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::Quaternion;
 

@@ -243,7 +243,8 @@ pub const NO_WEIGHT: ImuNoiseModel = ImuNoiseModel {
 };
 
 /// A pause of the IMU too long to be bridged.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("no IMU samples from {from} s to {to} s: at most {longest_secs} s are bridged")]
 pub struct ImuGap {
     /// The last sample before it, or where samples should begin.
     pub from: Timestamp,
