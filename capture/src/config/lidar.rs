@@ -30,7 +30,7 @@ pub struct LidarNetConfig {
     pub model: String,
     /// The packets are of `model` with these returns, whatever they say themselves: old firmware of Velodyne sensors lies.
     pub force_returns: Option<Returns>,
-    /// File of the beam angles of this very unit, for Hesai sensors; relative to the file that names it.
+    /// File of the beam angles of this very unit, for sensors that come with one; relative to the file that names it.
     pub angles: Option<PathBuf>,
     /// A scan ends where the rotor passes this angle, degrees. With a field-of-view window, choose one outside it.
     pub cut_azimuth_deg: f64,

@@ -317,5 +317,8 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
     let settings = other.lidars.first_mut().and_then(|l| l.settings.as_mut());
     settings.unwrap().rpm = Some(910);
     let error = refused(&other);
-    assert!(error.contains("rpm cannot be `910`"), "{error}");
+    assert!(
+        error.contains("lidar.settings.rpm is 910: it must be a multiple of 60"),
+        "{error}"
+    );
 }

@@ -174,7 +174,7 @@ impl Context {
         self.print_ended(value, text)
     }
 
-    /// The same of what a stop ends in order: a live recording, devices that are simulated or played.
+    /// The same of what a stop ends in order (a live recording, devices that are simulated or played), and of what is done already.
     pub fn print_ended<T: Serialize>(
         &self,
         value: &T,

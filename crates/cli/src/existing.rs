@@ -24,6 +24,25 @@ pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result
     Ok(())
 }
 
+/// Fails where one of the inputs lies in a folder that is replaced as a whole.
+pub fn expect_outside(folder: &Path, read: &[&Path]) -> anyhow::Result<()> {
+    let Ok(folder) = folder.canonicalize() else {
+        return Ok(());
+    };
+    let inside = |path: &&&Path| {
+        path.canonicalize()
+            .is_ok_and(|path| path.starts_with(&folder))
+    };
+    match read.iter().find(inside) {
+        Some(input) => anyhow::bail!(
+            "{}: is in {}, which would be replaced: choose another folder",
+            input.display(),
+            folder.display()
+        ),
+        None => Ok(()),
+    }
+}
+
 /// Fails where a folder that is a result as a whole has something in it and may not be replaced: what is left of another result would be
 /// taken for a part of the new one.
 pub fn expect_free_folder(folder: &Path, force: bool) -> anyhow::Result<()> {

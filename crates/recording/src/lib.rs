@@ -48,7 +48,7 @@ pub use error::{Damage, Error};
 pub use hash::sha256_of;
 pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
 pub use natural_order::sort_naturally;
-pub use provenance::Provenance;
+pub use provenance::{Provenance, READ_ONCE, provenance_path};
 pub use reader::{ArrivalRange, CdrMessage, Recording};
 pub use samples::{CameraImage, RecordedPacket};
 pub use topic::{

@@ -29,7 +29,16 @@ pub struct Provenance {
     pub failures: Vec<String>,
 }
 
+/// Stands for the hash of an input that is no file.
+pub const READ_ONCE: &str = "no file";
+
 impl Provenance {
+    /// What is beside a result; `None` where there is nothing, or what another program wrote under that name.
+    pub fn beside(result: &Path) -> Option<Self> {
+        let text = std::fs::read_to_string(provenance_path(result)).ok()?;
+        serde_json::from_str(&text).ok()
+    }
+
     /// Of a result of this version of the program with this effective configuration.
     pub fn new(config: &impl Serialize) -> Self {
         Self {
@@ -42,14 +51,19 @@ impl Provenance {
         }
     }
 
-    /// Adds the hash of an input file by the file's name; a second file of that name is `NAME#2`.
+    /// Adds the hash of an input file by the file's name; a second file of that name is `NAME#2`. What can be read once only, such as a pipe,
+    /// has [`READ_ONCE`] in place of a hash.
     pub fn add_input(&mut self, path: &Path) -> Result<(), Error> {
         let name = path
             .file_name()
             .unwrap_or(path.as_os_str())
             .to_string_lossy()
             .into_owned();
-        let sha256 = sha256_of(path)?;
+        let is_read_once = path.metadata().is_ok_and(|found| !found.is_file());
+        let sha256 = match is_read_once {
+            true => READ_ONCE.to_owned(),
+            false => sha256_of(path)?,
+        };
         let numbers = (2..).map(|n| format!("{name}#{n}"));
         let names = std::iter::once(name.clone()).chain(numbers);
         let is_free = |name: &String| self.inputs.get(name).is_none_or(|own| *own == sha256);
@@ -86,7 +100,8 @@ impl Provenance {
     }
 }
 
-fn provenance_path(result: &Path) -> PathBuf {
+/// Where [`Provenance::write`] tells what a result was made from.
+pub fn provenance_path(result: &Path) -> PathBuf {
     let mut name = result.file_name().unwrap_or_default().to_os_string();
     name.push(".provenance.json");
     result.with_file_name(name)

@@ -296,19 +296,18 @@ pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Res
         lsfb_calib::Error::Setting(error) => BadArgument::of_option(&error, &[]).into(),
         error => anyhow::Error::new(error),
     })?;
-    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     let files = exported.files.iter();
     let paths: Vec<PathBuf> = files.map(|f| arguments.out.join(&f.name)).collect();
     paths
         .iter()
         .try_for_each(|path| context.claim(path, &[&arguments.rig]))?;
     context.check_stop()?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     for (path, file) in paths.iter().zip(&exported.files) {
         super::write(path, &file.text)?;
     }
     let of = arguments.rig.display().to_string();
-    let remedy = "tell the other program by hand, or go on without it";
-    let findings = noted(exported.notes, "exported", &of, remedy);
+    let findings = noted(exported.notes, "exported", &of, "");
     let judgement = or_whole(findings.collect(), &of, "all of it is in the files");
     let printed = serde_json::json!({ "files": &paths });
     context.print(&Judged::new(&judgement, &of, &printed), || {

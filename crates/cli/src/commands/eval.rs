@@ -150,14 +150,30 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 /// Settings and files of the page.
 fn made_from(arguments: &Arguments, config: &EvalConfig) -> anyhow::Result<Provenance> {
+    let rpe = |all: &[RpeConfig]| -> Vec<String> {
+        let pairs = match arguments.rpe_all_pairs {
+            true => "all pairs",
+            false => "consecutive pairs",
+        };
+        let said = |one: &RpeConfig| format!("{} {}, {pairs}", one.delta, one.unit.key());
+        all.iter().map(said).collect()
+    };
+    let unit = |unit: Option<StampUnit>| unit.map(|unit| unit.to_string());
+    let columns = |columns: &Option<Columns>| columns.map(|columns| format!("{columns:?}"));
+    let stamp_units = [arguments.estimate_stamp_unit, arguments.truth_stamp_unit].map(unit);
+    let columns = [&arguments.estimate_columns, &arguments.truth_columns].map(columns);
     let mut made_from = Provenance::new(&serde_json::json!({
         "align": config.alignment.key(),
         "max_difference_secs": config.max_difference_secs,
-        "rpe_delta": arguments.rpe_delta,
-        "rpe_unit": arguments.rpe_unit,
-        "rpe_all_pairs": arguments.rpe_all_pairs,
+        "rpe": rpe(&config.rpe),
+        "rpe_where_possible": rpe(&config.rpe_where_possible),
+        "stamp_units": stamp_units,
+        "columns": columns,
+        "streams": [&arguments.estimate_stream, &arguments.truth_stream],
     }));
-    for path in [&arguments.estimate, &arguments.truth] {
+    let times = [&arguments.estimate_times, &arguments.truth_times];
+    let files = [&arguments.estimate, &arguments.truth];
+    for path in files.into_iter().chain(times.into_iter().flatten()) {
         made_from.add_input(path)?;
     }
     Ok(made_from)

@@ -11,7 +11,7 @@ use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
 use super::map_surface::{check_source, expect_sound, insert_scans};
 use crate::context::Context;
-use crate::existing::expect_free_folder;
+use crate::existing::{expect_free_folder, expect_outside};
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
@@ -25,7 +25,7 @@ use crate::outcome::Outcome;
 ///
 /// If the scans disagree at the poses of the trajectory (beams end behind surfaces that other scans
 /// saw, walls are smeared), the trajectory belongs to another walk or clock: no image is written, and
-/// the exit code is 4.
+/// the exit code is 4. With --force, OUT/depth and OUT/normals of an earlier run are replaced as a whole.
 ///
 /// Examples:
 ///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
@@ -77,8 +77,16 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     read.extend(arguments.poses.as_deref());
     read.extend(arguments.rig.as_deref());
     context.claim(&arguments.out, &read)?;
+    let is_own = Provenance::beside(&arguments.out).is_some();
     for kind in KINDS {
-        expect_free_folder(&arguments.out.join(kind), context.force())?;
+        let folder = arguments.out.join(kind);
+        expect_free_folder(&folder, context.force())?;
+        anyhow::ensure!(
+            is_own || expect_free_folder(&folder, false).is_ok(),
+            "{}: has files that `lsfb map depth` did not write: choose another folder",
+            folder.display()
+        );
+        expect_outside(&folder, &read)?;
     }
     let mut provenance = Provenance::new(&(&config, arguments.every, &arguments.cameras));
     for path in read.iter().take(2 + usize::from(arguments.poses.is_some())) {
@@ -116,7 +124,7 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
         })?;
         return Ok(Outcome::JudgementFailed);
     }
-    let shares = write_all(arguments, &surface, &rig, &poses, context)?;
+    let shares = render_all(arguments, &surface, &rig, &poses, context)?;
     let blind = shares.iter().filter(|share| **share == 0.0).count();
     anyhow::ensure!(
         blind < shares.len(),
@@ -124,6 +132,14 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
         shares.len(),
         arguments.trajectory.display()
     );
+    context.check_stop()?;
+    for kind in KINDS {
+        let [old, new] = [kind.to_owned(), unfinished(kind)].map(|name| arguments.out.join(name));
+        if old.is_dir() {
+            crate::files::about(&old, std::fs::remove_dir_all(&old))?;
+        }
+        crate::files::about(&new, std::fs::rename(&new, &old))?;
+    }
     provenance.write(&arguments.out)?;
     let [half, least] = [0.5, 0.05].map(|q| quantile(shares.clone(), q).unwrap_or(0.0));
     let summary = serde_json::json!({
@@ -149,8 +165,13 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     Ok(Outcome::Done)
 }
 
-/// Writes all images; which share of each has a depth.
-fn write_all(
+/// Where images are until all of them are there.
+fn unfinished(kind: &str) -> String {
+    format!("{kind}.part")
+}
+
+/// Writes all images, aside; which share of each has a depth.
+fn render_all(
     arguments: &DepthArguments,
     surface: &Surface,
     rig: &Rig,
@@ -163,14 +184,14 @@ fn write_all(
         .step_by(arguments.every as usize)
         .collect();
     let total = (chosen.len() * rig.cameras.len()) as u64;
-    for old in KINDS.map(|kind| arguments.out.join(kind)) {
-        if old.is_dir() {
-            crate::files::about(&old, std::fs::remove_dir_all(&old))?;
+    for begun in KINDS.map(|kind| arguments.out.join(unfinished(kind))) {
+        if begun.is_dir() {
+            crate::files::about(&begun, std::fs::remove_dir_all(&begun))?;
         }
     }
     let mut shares = Vec::new();
     for (name, mounted) in &rig.cameras {
-        let folders = KINDS.map(|kind| arguments.out.join(kind).join(name));
+        let folders = KINDS.map(|kind| arguments.out.join(unfinished(kind)).join(name));
         for folder in &folders {
             std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }

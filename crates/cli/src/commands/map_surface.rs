@@ -1,11 +1,11 @@
 //! What the LiDAR of a recording saw, at the poses of a trajectory: read once for `lsfb map depth` and `lsfb map view`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::odometry::scan_count;
 use lsfb_pipeline::surface::{SurfaceBuilder, SurfaceConfig};
-use lsfb_recording::{Provenance, Recording};
+use lsfb_recording::{Provenance, Recording, provenance_path};
 use lsfb_types::{Finding, Limit, Progress, Verdict};
 
 use crate::context::Context;
@@ -56,7 +56,7 @@ pub fn insert_scans(
 
 /// Refuses a trajectory, or clouds, that say themselves, by the provenance beside them, that they are of another recording, or that they are wrong.
 pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
-    let Some(of_trajectory) = provenance_of(trajectory) else {
+    let Some(of_trajectory) = Provenance::beside(trajectory) else {
         return Ok(());
     };
     let mut own = Provenance::new(&());
@@ -76,7 +76,7 @@ pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
 
 /// Refuses a trajectory, or clouds, with which something was found wrong when they were made, as the provenance beside them says.
 pub fn expect_sound(trajectory: &Path) -> anyhow::Result<()> {
-    let failures = provenance_of(trajectory).map_or_else(Vec::new, |p| p.failures);
+    let failures = Provenance::beside(trajectory).map_or_else(Vec::new, |p| p.failures);
     if failures.is_empty() {
         return Ok(());
     }
@@ -88,19 +88,6 @@ pub fn expect_sound(trajectory: &Path) -> anyhow::Result<()> {
     let refused = Finding::new("failed-trajectory", Verdict::Fail, subject, what)
         .remedy("fix that, and make it again");
     Err(Refused(refused).into())
-}
-
-/// What is beside a result; none where there is nothing, or what another program wrote under that name.
-fn provenance_of(result: &Path) -> Option<Provenance> {
-    let text = std::fs::read_to_string(provenance_path(result)).ok()?;
-    serde_json::from_str(&text).ok()
-}
-
-/// Where what a result was made from is told.
-pub fn provenance_path(result: &Path) -> PathBuf {
-    let mut name = result.file_name().unwrap_or_default().to_os_string();
-    name.push(".provenance.json");
-    result.with_file_name(name)
 }
 
 #[cfg(test)]

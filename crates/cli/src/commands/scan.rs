@@ -121,7 +121,7 @@ struct LidarArguments {
     /// Ignore the model and return mode stated in the packets; use --lidar-model and this mode.
     #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = one_of(&Returns::ALL, Returns::key))]
     force_returns: Option<Returns>,
-    /// Beam angles of this unit (Hesai's angle correction file).
+    /// Beam angles of this unit (CSV), for sensors that come with a file of them.
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
     /// Record only the packets of this sender, under this name; may be repeated. By default every LiDAR of
@@ -280,8 +280,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         } else {
             let _ = write!(why, "; the packets are in {}", report.path.display());
         }
-        let none = Finding::new("no-scans", Verdict::Fail, "", why)
-            .remedy("check --lidar-port, --lidar-model and which sensor was captured");
+        let captures = [&arguments.pcap, &arguments.db3, &arguments.mcap];
+        let subject = captures.into_iter().flatten().next();
+        let subject = subject.map_or_else(String::new, |path| path.display().to_string());
+        let none = Finding::new("no-scans", Verdict::Fail, subject, why).remedy(
+            match arguments.pcap.is_some() {
+                true => "check --lidar-port, --lidar-model and which sensor was captured",
+                false => "check --lidar-model and which sensor was captured",
+            },
+        );
         return Err(Refused(none).into());
     }
     print(&report, context)

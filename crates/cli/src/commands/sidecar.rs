@@ -170,7 +170,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                     unpair.name
                 );
             }
-            context.print(&serde_json::json!({ "unpaired": unpair.name }), || {
+            context.print_ended(&serde_json::json!({ "unpaired": unpair.name }), || {
                 format!("{} is unpaired", unpair.name)
             })?;
             Ok(Outcome::Done)
@@ -212,7 +212,7 @@ impl Pair {
         };
         let picture = qr_code::of(&text);
         let valid_secs = self.valid_secs;
-        context.print(
+        context.print_ended(
             &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
             || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Do not show it to anyone else."),
         )?;
@@ -239,7 +239,7 @@ impl Pair {
         let at = SocketAddr::new(host, listen.port());
         let url = format!("http://{at}/v1/push/{name}/{key}");
         let picture = qr_code::of(&url);
-        context.print(&serde_json::json!({ "url": url }), || {
+        context.print_ended(&serde_json::json!({ "url": url }), || {
             format!(
                 "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair \
                  {name}`. Do not show it to anyone else; it is not encrypted on the network."

@@ -212,8 +212,8 @@ fn draw(
     context: &Context,
 ) -> anyhow::Result<()> {
     context.claim(out, read)?;
-    read.iter().try_for_each(|path| made_from.add_input(path))?;
     context.check_stop()?;
+    read.iter().try_for_each(|path| made_from.add_input(path))?;
     pages::write(out, page, &made_from)
 }
 

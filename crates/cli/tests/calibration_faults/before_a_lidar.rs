@@ -102,7 +102,7 @@ fn boards_and_cameras() {
     let own = arguments(OWN, PLATE, "cam0=images");
     ends(path, &own, "good.toml", End::Pass, &[]);
     let page = std::fs::read_to_string(path.join("good.html")).expect("a page");
-    assert!(page.contains("src=\"good.lidar.png\""), "{page}");
+    assert!(page.contains("src=\"data:image/png;base64,"), "{page}");
     assert!(path.join("good.lidar.png").exists());
     // From rendered images as from the corners themselves.
     let from_corners = calibrate(&BOARD, &poses).expect("calibrated");

@@ -127,9 +127,12 @@ impl Finding {
         }
     }
 
-    /// The limit with its unit, where it was crossed: `at most 2 ms`.
+    /// The limit with its unit, where it was crossed: `at most 2 ms`. Nothing where there should be none at all, as all that is found says so.
     pub fn crossed_limit(&self) -> Option<String> {
         let limit = self.limit.filter(|_| self.verdict >= Verdict::Warn)?;
+        if limit == Limit::AtMost(0.0) {
+            return None;
+        }
         Some(match self.unit {
             "" => limit.to_string(),
             "°" => format!("{limit}°"),

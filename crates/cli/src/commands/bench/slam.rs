@@ -66,6 +66,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for page in &pages {
         context.claim(page, &[&arguments.plan])?;
     }
+    // The plan is the settings: whoever has only the page can run it again.
+    let mut made_from = Provenance::new(&std::fs::read_to_string(&arguments.plan)?);
+    made_from.add_input(&arguments.plan)?;
+    for sequence in &plan.sequences {
+        made_from.add_input(&sequence.truth)?;
+    }
     let program_sha256 = program_sha256()?;
     let config = RunConfig {
         program_sha256: &program_sha256,
@@ -81,12 +87,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     write(text, marked.to_text())?;
     write(csv, marked.to_csv())?;
     write(latex, marked.to_latex())?;
-    // The plan is the settings: whoever has only the page can run it again.
-    let mut made_from = Provenance::new(&std::fs::read_to_string(&arguments.plan)?);
-    made_from.add_input(&arguments.plan)?;
-    for sequence in &plan.sequences {
-        made_from.add_input(&sequence.truth)?;
-    }
     pages::write(page, marked.page(), &made_from)?;
     for (page, sequence) in pages.iter().zip(&plan.sequences) {
         if let Some(report) = page_of(&plan, &arguments.out, sequence, &runs)? {

@@ -13,10 +13,9 @@ use lsfb_types::Timestamp;
 use serde::Serialize;
 
 use crate::bad_argument::BadArgument;
-use crate::commands::map_surface::provenance_path;
 use crate::commands::map_tools::colmap_cameras;
 use crate::context::Context;
-use crate::existing::expect_free_folder;
+use crate::existing::{expect_free_folder, expect_outside};
 use crate::files::write;
 use crate::outcome::Outcome;
 
@@ -30,6 +29,8 @@ use crate::outcome::Outcome;
 /// --hidden-regions fills regions with their mean grey: lines of CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
 /// with - - for all times. lsfb does not detect faces: run a detector that writes this file. Only
 /// exported images are changed, never the recordings.
+///
+/// With --force, the folder of an earlier export is replaced as a whole; any other is left as it is.
 ///
 /// Examples:
 ///   lsfb dataset export dataset C3-android --format euroc --out c3
@@ -92,12 +93,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     read.extend(arguments.hidden_regions.as_deref());
     context.claim_folder(out, &read)?;
     // Whatever else is there is not thrown away, forced or not.
+    let made = Provenance::beside(out).is_some_and(|made| made.config.get("export").is_some());
     anyhow::ensure!(
-        expect_free_folder(out, false).is_ok() || provenance_path(out).exists(),
-        "{}: has files that `lsfb dataset export` did not write: choose another name",
+        made || expect_free_folder(out, false).is_ok(),
+        "{}: is not known to be an export of `lsfb dataset export`, so it is not replaced: remove it, or choose another name",
         out.display()
     );
-    let mut provenance = Provenance::new(&(name, arguments.format));
+    expect_outside(out, &read)?;
+    let config = serde_json::json!({ "export": name, "format": arguments.format });
+    let mut provenance = Provenance::new(&config);
     for path in read.iter().skip(1).filter(|path| path.exists()) {
         provenance.add_input(path)?;
     }
@@ -117,16 +121,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         without_lens: Vec::new(),
         without_beacon: 0,
     };
+    // Written aside, and put in its place as a whole.
+    let mut aside = out.file_name().unwrap_or_default().to_os_string();
+    aside.push(".unfinished");
+    let staged = out.with_file_name(aside);
     let (layout, images) = match arguments.format {
-        Program::Euroc => (Layout::Euroc, out.clone()),
-        Program::TumVi => (Layout::TumVi, out.clone()),
-        Program::Kitti => (Layout::Kitti, out.clone()),
-        Program::Images => (Layout::Images, out.clone()),
-        Program::Kapture => (Layout::Stamped, out.join("sensors").join("records_data")),
-        Program::Colmap => (Layout::Stamped, out.join("images")),
-        Program::Lamar => (Layout::Stamped, out.join("raw_data")),
+        Program::Euroc => (Layout::Euroc, staged.clone()),
+        Program::TumVi => (Layout::TumVi, staged.clone()),
+        Program::Kitti => (Layout::Kitti, staged.clone()),
+        Program::Images => (Layout::Images, staged.clone()),
+        Program::Kapture => (Layout::Stamped, staged.join("sensors").join("records_data")),
+        Program::Colmap => (Layout::Stamped, staged.join("images")),
+        Program::Lamar => (Layout::Stamped, staged.join("raw_data")),
         // A text: what is hidden in images is in none.
-        Program::IndoorLocation => (Layout::AsIs, out.clone()),
+        Program::IndoorLocation => (Layout::AsIs, staged.clone()),
     };
     let places_images = matches!(arguments.format, Program::Kapture | Program::Colmap);
     let needs_truth =
@@ -136,14 +144,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "{}: there is no truth, which this format needs to place images or waypoints: use euroc or images",
         truth_path.display()
     );
-    if out.is_dir() {
-        crate::files::about(out, std::fs::remove_dir_all(out))?;
+    if staged.is_dir() {
+        crate::files::about(&staged, std::fs::remove_dir_all(&staged))?;
     }
-    let around = images.parent().unwrap_or(out);
+    let around = images.parent().unwrap_or(&staged);
     std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
     export_without(&recording, layout, &hidden, &images)?;
+    context.check_stop()?;
     if matches!(arguments.format, Program::Euroc | Program::TumVi) {
-        exported.without_lens = without_lens(out)?;
+        exported.without_lens = without_lens(&staged)?;
     }
     let truth = Trajectory::new(truth);
     match arguments.format {
@@ -153,7 +162,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let session = lamar_session(&recording, &rig, &cameras, truth.poses())?;
             exported.without_beacon = session.without_beacon;
             for (name, text) in session.files {
-                put(&out.join(name), text.as_bytes())?;
+                put(&staged.join(name), text.as_bytes())?;
             }
         }
         Program::IndoorLocation => {
@@ -161,14 +170,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 .query(name)
                 .map_or("", |query| &query.environment);
             let text = indoor_location(&recording, truth.poses(), floor)?;
-            put(&out.join(format!("{name}.txt")), text.as_bytes())?;
+            put(&staged.join(format!("{name}.txt")), text.as_bytes())?;
         }
         _ => {}
     }
     if places_images {
         let (format, below) = match arguments.format {
-            Program::Kapture => (MapFormat::Kapture, out.clone()),
-            _ => (MapFormat::ColmapText, out.join("sparse")),
+            Program::Kapture => (MapFormat::Kapture, staged.clone()),
+            _ => (MapFormat::ColmapText, staged.join("sparse")),
         };
         let (files, without) = placed(&recording, &truth, format)?;
         exported.without_pose = without;
@@ -183,10 +192,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             _ => None,
         };
         if let Some(name) = euroc {
-            put(&out.join(name), euroc_text(truth.poses()).as_bytes())?;
+            put(&staged.join(name), euroc_text(truth.poses()).as_bytes())?;
         }
-        lsfb_recording::write_tum(&out.join("truth.tum"), &truth)?;
+        lsfb_recording::write_tum(&staged.join("truth.tum"), &truth)?;
     }
+    context.check_stop()?;
+    if out.is_dir() {
+        crate::files::about(out, std::fs::remove_dir_all(out))?;
+    }
+    crate::files::about(out, std::fs::rename(&staged, out))?;
     provenance.write(out)?;
     context.print(&exported, || {
         let mut text = format!("{}: {} true poses", out.display(), exported.true_poses);

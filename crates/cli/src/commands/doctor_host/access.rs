@@ -145,33 +145,47 @@ pub(super) fn real_time(root: &Path) -> Finding {
     let locked = limit(root, "Max locked memory").unwrap_or_default();
     // 20 less the lowest nice value that may be asked for.
     let nice = limit(root, "Max nice priority").unwrap_or_default();
-    let locked_mb = locked as f64 / 1e6;
-    let good_locked_mb = GOOD_LOCKED_BYTES as f64 / 1e6;
-    let hurry = [
-        (priority as f64, "", GOOD_RT_PRIORITY as f64),
-        (nice as f64, "", GOOD_NICE as f64),
+    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    // What the number says, the number, its unit, the least that is wanted of it.
+    let priorities = [
+        (
+            format!("priority up to {priority}"),
+            priority as f64,
+            GOOD_RT_PRIORITY as f64,
+        ),
+        (format!("nice limit {nice}"), nice as f64, GOOD_NICE as f64),
     ];
-    let needed = match is_root(root) {
-        true => &[][..],
-        false => &hurry[..],
+    let memory = match locked {
+        u64::MAX => "unlimited locked memory".to_owned(),
+        bytes => format!("{:.1} MiB of locked memory", mib(bytes)),
     };
-    let needed = [needed, &[(locked_mb, "MB", good_locked_mb)]].concat();
-    // The number of the finding is the first that is too low.
-    let low = needed.iter().find(|(value, _, least)| value < least);
-    let good = low.is_none();
-    let (value, unit, least) = *low.unwrap_or(&needed[0]);
-    let locked_text = match locked {
-        u64::MAX => "unlimited".to_owned(),
-        bytes => format!("{} kB of", bytes / 1024),
-    };
-    check(
+    let needs_priorities = !is_root(root);
+    let priorities = priorities
+        .into_iter()
+        .map(|(said, value, least)| (said, value, "", least, needs_priorities));
+    let mut all: Vec<_> = priorities.collect();
+    all.push((memory, mib(locked), "MiB", mib(GOOD_LOCKED_BYTES), true));
+    // The number of the finding is the first that is too low, said last: its limit follows.
+    let low = all
+        .iter()
+        .position(|(_, value, _, least, counts)| *counts && value < least);
+    if let Some(low) = low {
+        let low = all.remove(low);
+        all.push(low);
+    }
+    let said: Vec<&str> = all.iter().map(|(said, ..)| said.as_str()).collect();
+    let finding = check(
         "real-time limits",
-        Verdict::Warn.unless(good),
-        format!("priority up to {priority}, nice limit {nice}, {locked_text} locked memory"),
+        Verdict::Warn.unless(low.is_none()),
+        said.join(", "),
         format!("{INSTALL} --user $USER, then log in again"),
-    )
-    .value(value, unit)
-    .limit(Limit::AtLeast(least))
+    );
+    match all.last() {
+        Some((_, value, unit, least, _)) if locked != u64::MAX || low.is_some() => {
+            finding.value(*value, unit).limit(Limit::AtLeast(*least))
+        }
+        _ => finding,
+    }
 }
 
 pub(super) fn open_files(root: &Path) -> Finding {
