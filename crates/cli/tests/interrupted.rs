@@ -98,7 +98,7 @@ fn calibrations_and_alignments_end_at_once() {
         "align a.tum --reference b.tum --search-secs 3600 --out truth.tum",
     ] {
         let mut running = Running::lsfb(path, line.split(' ').map(str::to_owned));
-        std::thread::sleep(Duration::from_millis(500));
+        running.wait_for_work(AT_WORK_S);
         running.signal(Signal::SIGINT);
         assert_eq!(
             running.wait().code(),
@@ -111,6 +111,9 @@ fn calibrations_and_alignments_end_at_once() {
         assert_eq!(left, ["a.tum", "b.tum", "imu.csv"], "{line}");
     }
 }
+
+/// Of a second or two of computing.
+const AT_WORK_S: f64 = 0.3;
 
 /// An hour at 200 Hz, as EuRoC has it.
 fn at_rest() -> String {
