@@ -4,10 +4,10 @@ use std::fs::{DirEntry, File};
 use std::io::Write as _;
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::running::Running;
+use crate::running::{Running, wait_until};
 use crate::session::with;
 use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
 use lsfb_recording::write_tum;
@@ -26,22 +26,11 @@ fn mapping_ends_at_once() {
 
 fn ends_at_once(signal: Signal, code: i32, words: &str) {
     let folder = with(&["scan.mcap"]);
-    let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
-        .args(["map", "scan.mcap", "--out", "map"])
-        .current_dir(folder.path())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the built binary");
-    // Long enough to be at work, far too short to be done.
-    std::thread::sleep(Duration::from_millis(500));
-    let asked = Instant::now();
-    let id = i32::try_from(process.id()).expect("process id");
-    kill(Pid::from_raw(id), signal).expect("signal");
-    let output = process.wait_with_output().expect("an end");
+    let (output, took) =
+        stopped_at_work(folder.path(), &["map", "scan.mcap", "--out", "map"], signal);
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{text}");
-    assert!(asked.elapsed() < Duration::from_secs(3), "{text}");
+    assert!(took < Duration::from_secs(3), "{text}");
     assert!(text.contains(words), "{text}");
     // A fast machine has finished the first stage by then, and keeps it for the next try.
     let kept = names_in(&folder.path().join("map.unfinished"));
@@ -50,6 +39,41 @@ fn ends_at_once(signal: Signal, code: i32, words: &str) {
     let mut left = names_in(folder.path());
     left.retain(|name| name != "map.unfinished");
     assert_eq!(left, ["scan.mcap"], "the recording and nothing else");
+}
+
+/// Runs a command until it has computed for a third of a second, however busy the machine is, and sends it a signal. What it said, and how
+/// long it took to end.
+fn stopped_at_work(folder: &Path, arguments: &[&str], signal: Signal) -> (Output, Duration) {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(arguments)
+        .current_dir(folder)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the built binary");
+    let id = process.id();
+    wait_until("it is at work, or ended", || {
+        worked_secs(id).is_none_or(|secs| secs > 0.3)
+            || process.try_wait().is_ok_and(|end| end.is_some())
+    });
+    let asked = Instant::now();
+    let id = i32::try_from(id).expect("process id");
+    kill(Pid::from_raw(id), signal).expect("signal");
+    let output = process.wait_with_output().expect("an end");
+    (output, asked.elapsed())
+}
+
+/// User and system time of a process, in hundredths of a second behind its name in brackets (proc_pid_stat(5)).
+fn worked_secs(id: u32) -> Option<f64> {
+    let text = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+    let (_, fields) = text.rsplit_once(')')?;
+    let times = fields.split_whitespace().skip(11).take(2);
+    Some(
+        times
+            .filter_map(|ticks| ticks.parse::<f64>().ok())
+            .sum::<f64>()
+            / 100.0,
+    )
 }
 
 /// Short commands read on, wrote and ended with 0.
@@ -97,23 +121,15 @@ fn calibrations_and_alignments_end_at_once() {
         "calib imu-noise --imu imu.csv --out noise.html",
         "align a.tum --reference b.tum --search-secs 3600 --out truth.tum",
     ] {
-        let mut running = Running::lsfb(path, line.split(' ').map(str::to_owned));
-        running.wait_for_work(AT_WORK_S);
-        running.signal(Signal::SIGINT);
-        assert_eq!(
-            running.wait().code(),
-            Some(130),
-            "{line}: {}",
-            running.said()
-        );
+        let arguments: Vec<&str> = line.split(' ').collect();
+        let (output, _) = stopped_at_work(path, &arguments, Signal::SIGINT);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(130), "{line}: {said}");
         let mut left = names_in(path);
         left.sort();
         assert_eq!(left, ["a.tum", "b.tum", "imu.csv"], "{line}");
     }
 }
-
-/// Of a second or two of computing.
-const AT_WORK_S: f64 = 0.3;
 
 /// An hour at 200 Hz, as EuRoC has it.
 fn at_rest() -> String {

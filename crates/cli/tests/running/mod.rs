@@ -72,24 +72,6 @@ impl Running {
         });
     }
 
-    /// Waits until it has computed for so many seconds, however busy the machine is.
-    pub fn wait_for_work(&mut self, secs: f64) {
-        let stat = format!("/proc/{}/stat", self.process.id());
-        // User and system time, in hundredths of a second, behind the name in brackets (proc_pid_stat(5)).
-        let used = || {
-            let text = std::fs::read_to_string(&stat).ok()?;
-            let (_, fields) = text.rsplit_once(')')?;
-            let times = fields.split_whitespace().skip(11).take(2);
-            Some(
-                times
-                    .filter_map(|ticks| ticks.parse::<f64>().ok())
-                    .sum::<f64>()
-                    / 100.0,
-            )
-        };
-        self.wait_until("it is at work", || used().is_some_and(|used| used > secs));
-    }
-
     /// Waits for its end.
     pub fn wait(&mut self) -> ExitStatus {
         let mut status = None;
