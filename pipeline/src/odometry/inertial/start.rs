@@ -72,6 +72,7 @@ impl InertialFilter {
             UnitQuaternion::rotation_between(&force, &Vector3::z()).unwrap_or_else(half_turn);
         let forward = rotation * Vector3::x();
         let heading = so3::exp(&Vector3::new(0.0, 0.0, -forward.y.atan2(forward.x)));
+        let world_from_imu = heading * rotation;
         let mut variance = SVector::<f64, 18>::zeros();
         let mut set = |at: usize, sigma: f64| variance.fixed_rows_mut::<3>(at).fill(sigma * sigma);
         // The start defines the world, so its pose is exact; what is uncertain is where gravity points in it.
@@ -87,7 +88,7 @@ impl InertialFilter {
         variance[GRAVITY + 2] = GRAVITY_LENGTH_M_S2 * GRAVITY_LENGTH_M_S2;
         Some(Self {
             state: InertialState {
-                world_from_rig: Se3::new(heading * rotation, Vector3::zeros()),
+                world_from_rig: Se3::new(world_from_imu, Vector3::zeros()),
                 velocity_m_s: Vector3::zeros(),
                 gyro_bias_rad_s: if stands { rate } else { Vector3::zeros() },
                 accel_bias_m_s2: Vector3::zeros(),
@@ -97,7 +98,7 @@ impl InertialFilter {
             reported: Matrix18::from_diagonal(&variance),
             standing: stands.then_some(Standing {
                 angular_velocity: rate,
-                force_in_world: heading * rotation * force,
+                force_in_world: world_from_imu * force,
                 turned_rad: Vector3::zeros(),
                 secs: 0.0,
             }),
