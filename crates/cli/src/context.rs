@@ -108,6 +108,9 @@ impl Context {
 
     /// What was finished of a result before its making was stopped, in `RESULT.unfinished`; says so where there is something.
     pub fn kept_stages(&self, result: &Path, made_from: &Provenance) -> anyhow::Result<KeptStages> {
+        if !standing::can_stand(made_from) {
+            return Ok(KeptStages::none());
+        }
         let mut name = result.file_name().unwrap_or_default().to_os_string();
         name.push(".unfinished");
         let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;

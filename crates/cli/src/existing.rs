@@ -6,8 +6,9 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::hd_map::HdMap;
+use lsfb_recording::{Provenance, provenance_path};
 
-use crate::files::is_same;
+use crate::files::{about, is_same};
 
 /// Fails where a result is there and may not be replaced, and where it would take the place of what is `read`.
 pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result<()> {
@@ -22,6 +23,31 @@ pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result
         result.display()
     );
     Ok(())
+}
+
+/// Fails where a folder that would be replaced as a whole has files that the command `made_by` is not known to have written: what is beside
+/// its `result` says so.
+pub fn expect_own_folder(folder: &Path, result: &Path, made_by: &str) -> anyhow::Result<()> {
+    let beside = Provenance::beside(result);
+    let is_own = beside.is_some_and(|made| made.config.get(made_by).is_some());
+    anyhow::ensure!(
+        is_own || expect_free_folder(folder, false).is_ok(),
+        "{}: is not known to be an export of `lsfb {made_by}`, so it is not replaced: remove it, or choose another name",
+        folder.display()
+    );
+    Ok(())
+}
+
+/// Puts a folder that was written aside in its place. What is beside `result` is taken away first: it tells of what was there before.
+pub fn replace_folder(aside: &Path, place: &Path, result: &Path) -> anyhow::Result<()> {
+    let told = provenance_path(result);
+    if told.exists() {
+        about(&told, std::fs::remove_file(&told))?;
+    }
+    if place.is_dir() {
+        about(place, std::fs::remove_dir_all(place))?;
+    }
+    about(place, std::fs::rename(aside, place))
 }
 
 /// Fails where one of the inputs lies in a folder that is replaced as a whole.
@@ -103,6 +129,27 @@ mod tests {
         let again = folder.path().join(".").join("a.csv");
         let refusal = expect_another(&again, &claimed).expect_err("one name");
         assert!(refusal.to_string().contains("two results"), "{refusal}");
+    }
+
+    /// A map's provenance made the folders beside it pass for images of `lsfb map depth`.
+    #[test]
+    fn what_another_command_made_is_not_replaced() {
+        let folder = tempfile::tempdir().expect("folder");
+        let result = folder.path().join("m");
+        let depth = result.join("depth");
+        std::fs::create_dir_all(&depth).expect("folder");
+        expect_own_folder(&depth, &result, "map depth").expect("nothing in it");
+        std::fs::write(depth.join("mine.png"), "mine").expect("file");
+        for (config, is_own) in [("map", false), ("map depth", true)] {
+            let made = Provenance::new(&serde_json::json!({ config: {} }));
+            made.write(&result).expect("provenance");
+            let found = expect_own_folder(&depth, &result, "map depth");
+            assert_eq!(found.is_ok(), is_own, "{found:?}");
+        }
+        let aside = result.join("depth.part");
+        std::fs::create_dir(&aside).expect("folder");
+        replace_folder(&aside, &depth, &result).expect("replaced");
+        assert!(!depth.join("mine.png").exists() && !provenance_path(&result).exists());
     }
 
     /// Images of other settings stood among new ones.

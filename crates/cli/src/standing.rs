@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Provenance, sha256_of};
+use lsfb_recording::{Provenance, READ_ONCE, sha256_of};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -46,8 +46,16 @@ pub fn finish(
     crate::files::write(&path, serde_json::to_vec_pretty(&record)?)
 }
 
+/// Whether it can be told that the inputs are the same once more: of what came through a pipe it cannot.
+pub fn can_stand(made_from: &Provenance) -> bool {
+    made_from.inputs.values().all(|hash| hash != READ_ONCE)
+}
+
 /// What was said about results that stand as this program would make them of this input; `None` where they do not.
 pub fn report<R: DeserializeOwned>(outputs: &[&Path], made_from: &Provenance) -> Option<R> {
+    if !can_stand(made_from) {
+        return None;
+    }
     let text = std::fs::read(record_path(outputs)?).ok()?;
     // A record of another version, or half of one, is none.
     let record: Record = serde_json::from_slice(&text).ok()?;
@@ -113,6 +121,22 @@ pub fn program_sha256() -> anyhow::Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Another trajectory through the pipe was answered with the map of the one before: "up to date", exit code 0.
+    #[test]
+    fn what_came_through_a_pipe_is_made_again() {
+        let folder = tempfile::tempdir().expect("folder");
+        let out = folder.path().join("walk.tum");
+        std::fs::write(&out, "0 0 0 0 0 0 0 1\n").expect("result");
+        let pipe = folder.path().join("pipe");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
+        let mut made_from = Provenance::new(&());
+        made_from.add_input(&out).expect("a file");
+        assert!(can_stand(&made_from));
+        made_from.add_input(&pipe).expect("a pipe");
+        finish(&[&out], &[], &made_from, &7).expect("record");
+        assert_eq!(report::<u32>(&[&out], &made_from), None);
+    }
 
     #[test]
     fn a_result_stands_until_it_its_input_or_its_settings_change() {

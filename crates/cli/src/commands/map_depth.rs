@@ -11,7 +11,7 @@ use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
 use super::map_surface::{check_source, expect_sound, insert_scans};
 use crate::context::Context;
-use crate::existing::{expect_free_folder, expect_outside};
+use crate::existing::{expect_free_folder, expect_outside, expect_own_folder, replace_folder};
 use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
@@ -64,6 +64,8 @@ fn settings() -> String {
     format!("Settings of --config and their defaults:\n\n{settings}")
 }
 
+/// What stands beside the images says that they are of this command.
+const MADE_BY: &str = "map depth";
 /// Folders of the images.
 const KINDS: [&str; 2] = ["depth", "normals"];
 /// Depths are written in millimetres, 16 bits.
@@ -77,18 +79,14 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     read.extend(arguments.poses.as_deref());
     read.extend(arguments.rig.as_deref());
     context.claim(&arguments.out, &read)?;
-    let is_own = Provenance::beside(&arguments.out).is_some();
     for kind in KINDS {
         let folder = arguments.out.join(kind);
         expect_free_folder(&folder, context.force())?;
-        anyhow::ensure!(
-            is_own || expect_free_folder(&folder, false).is_ok(),
-            "{}: has files that `lsfb map depth` did not write: choose another folder",
-            folder.display()
-        );
+        expect_own_folder(&folder, &arguments.out, MADE_BY)?;
         expect_outside(&folder, &read)?;
     }
-    let mut provenance = Provenance::new(&(&config, arguments.every, &arguments.cameras));
+    let settings = (&config, arguments.every, &arguments.cameras);
+    let mut provenance = Provenance::new(&serde_json::json!({ MADE_BY: settings }));
     for path in read.iter().take(2 + usize::from(arguments.poses.is_some())) {
         provenance.add_input(path)?;
     }
@@ -134,11 +132,8 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     );
     context.check_stop()?;
     for kind in KINDS {
-        let [old, new] = [kind.to_owned(), unfinished(kind)].map(|name| arguments.out.join(name));
-        if old.is_dir() {
-            crate::files::about(&old, std::fs::remove_dir_all(&old))?;
-        }
-        crate::files::about(&new, std::fs::rename(&new, &old))?;
+        let [place, aside] = [kind, &unfinished(kind)].map(|name| arguments.out.join(name));
+        replace_folder(&aside, &place, &arguments.out)?;
     }
     provenance.write(&arguments.out)?;
     let [half, least] = [0.5, 0.05].map(|q| quantile(shares.clone(), q).unwrap_or(0.0));

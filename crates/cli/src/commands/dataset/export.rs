@@ -15,7 +15,7 @@ use serde::Serialize;
 use crate::bad_argument::BadArgument;
 use crate::commands::map_tools::colmap_cameras;
 use crate::context::Context;
-use crate::existing::{expect_free_folder, expect_outside};
+use crate::existing::{expect_outside, expect_own_folder, replace_folder};
 use crate::files::write;
 use crate::outcome::Outcome;
 
@@ -79,6 +79,9 @@ struct Exported<'a> {
     without_beacon: usize,
 }
 
+/// What stands beside an export says that it is one.
+const MADE_BY: &str = "dataset export";
+
 /// Reads, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let (folder, description) = super::open(&arguments.dataset)?;
@@ -93,14 +96,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     read.extend(arguments.hidden_regions.as_deref());
     context.claim_folder(out, &read)?;
     // Whatever else is there is not thrown away, forced or not.
-    let made = Provenance::beside(out).is_some_and(|made| made.config.get("export").is_some());
-    anyhow::ensure!(
-        made || expect_free_folder(out, false).is_ok(),
-        "{}: is not known to be an export of `lsfb dataset export`, so it is not replaced: remove it, or choose another name",
-        out.display()
-    );
+    expect_own_folder(out, out, MADE_BY)?;
     expect_outside(out, &read)?;
-    let config = serde_json::json!({ "export": name, "format": arguments.format });
+    let config = serde_json::json!({ MADE_BY: name, "format": arguments.format });
     let mut provenance = Provenance::new(&config);
     for path in read.iter().skip(1).filter(|path| path.exists()) {
         provenance.add_input(path)?;
@@ -197,10 +195,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         lsfb_recording::write_tum(&staged.join("truth.tum"), &truth)?;
     }
     context.check_stop()?;
-    if out.is_dir() {
-        crate::files::about(out, std::fs::remove_dir_all(out))?;
-    }
-    crate::files::about(out, std::fs::rename(&staged, out))?;
+    replace_folder(&staged, out, out)?;
     provenance.write(out)?;
     context.print(&exported, || {
         let mut text = format!("{}: {} true poses", out.display(), exported.true_poses);
