@@ -1,4 +1,4 @@
-// Peer of `cargo run --release -p lsfb-solver --example solve -- bal`: Ceres on a file in BAL format, one thread, CPU and wall time of
+// Peer of `cargo run --release -p lsfb-problems --example solve -- bal`: Ceres on a file in BAL format, one thread, CPU and wall time of
 // solving alone. Jacobians are analytic or automatic, as asked for.
 //
 //   ceres_bal FILE sparse|dense analytic|auto [covariance]

@@ -1,4 +1,4 @@
-"""Peer of `cargo run --release -p lsfb-solver --example solve -- pose-graph`: GTSAM's LM on a g2o file, one thread, CPU time.
+"""Peer of `cargo run --release -p lsfb-problems --example solve -- pose-graph`: GTSAM's LM on a g2o file, one thread, CPU time.
 
     python3 -m venv V && V/bin/pip install gtsam "numpy<2.3"; V/bin/python gtsam_pose_graph.py FILE.g2o [REPEATS]
 """

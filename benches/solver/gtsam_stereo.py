@@ -1,4 +1,4 @@
-"""Peer of `cargo run --release -p lsfb-solver --example solve -- stereo`: GTSAM's LM on the stereo factors that it ships, CPU time.
+"""Peer of `cargo run --release -p lsfb-problems --example solve -- stereo`: GTSAM's LM on the stereo factors that it ships, CPU time.
 
     V/bin/python gtsam_stereo.py FOLDER [SUFFIX]      (files as for the example; virtual environment as in gtsam_pose_graph.py)
 """

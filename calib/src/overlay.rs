@@ -1,6 +1,7 @@
 //! Returns of the LiDAR drawn into the camera's image, coloured by distance.
 
 use lsfb_geometry::{Camera, Se3, Vector3};
+use lsfb_perception::image::{Compression, Samples, write_png};
 use lsfb_types::Image;
 use serde::Serialize;
 
@@ -83,16 +84,17 @@ impl Picture {
     /// As PNG.
     pub fn to_png(&self) -> Result<Vec<u8>, Error> {
         let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder
-            .write_header()
-            .and_then(|mut w| w.write_image_data(&self.rgb))
-            .map_err(|e| Error::Parse {
-                path: "overlay".to_owned(),
-                problem: e.to_string(),
-            })?;
+        let size = (self.width as u32, self.height as u32);
+        write_png(
+            &mut bytes,
+            size,
+            Samples::Rgb(&self.rgb),
+            Compression::default(),
+        )
+        .map_err(|e| Error::Parse {
+            path: "overlay".to_owned(),
+            problem: e.to_string(),
+        })?;
         Ok(bytes)
     }
 }

@@ -63,7 +63,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("lsfb-view", &["types", "geometry", "recording"]),
     ("lsfb-operator", &["types", "geometry", "recording", "web"]),
-    ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),
+    (
+        "lsfb-sim",
+        &["types", "geometry", "drivers", "recording", "perception"],
+    ),
     ("lsfb-fakekernel", &[]),
     ("lsfb-problems", &["geometry", "solver"]),
     (

@@ -112,6 +112,38 @@ fn packages_hold_all_that_they_are_built_of() {
     }
 }
 
+/// Whoever unpacks a package can build its examples: they use its dependencies, and of ours what is published before.
+#[test]
+fn examples_need_nothing_that_is_not_published() {
+    let mut seen = 0;
+    for package in packages().iter().filter(|p| PUBLISHED.contains(&name(p))) {
+        let dependencies = package["dependencies"].as_array().expect("dependencies");
+        let ours = dependencies
+            .iter()
+            .map(name)
+            .filter(|d| d.starts_with("lsfb-"));
+        let unpublished: Vec<String> = ours
+            .filter(|used| !PUBLISHED.contains(used))
+            .map(|used| used.replace('-', "_"))
+            .collect();
+        let manifest = Path::new(package["manifest_path"].as_str().expect("a path"));
+        let examples = manifest.parent().expect("a folder").join("examples");
+        let Ok(entries) = std::fs::read_dir(examples) else {
+            continue;
+        };
+        for example in entries.map(|entry| entry.expect("an entry").path()) {
+            // Those of several files would be looked into here too; there are none.
+            assert!(example.is_file(), "{}: a folder", example.display());
+            let text = std::fs::read_to_string(&example).expect("source");
+            seen += 1;
+            for used in &unpublished {
+                assert!(!text.contains(used), "{} uses {used}", example.display());
+            }
+        }
+    }
+    assert!(seen > 5, "{seen} examples");
+}
+
 /// A path without `..`.
 fn normal(path: &Path) -> String {
     let mut parts: Vec<&str> = Vec::new();

@@ -16,6 +16,7 @@ mod saddle;
 mod saddle_fit;
 
 use lsfb_geometry::Vector2;
+use lsfb_perception::image::Around;
 use lsfb_types::Image;
 
 use crate::board::Target;
@@ -130,15 +131,5 @@ const ALONE: f64 = 0.8;
 
 /// Brightness between pixels; `None` off the image.
 fn sample(width: usize, values: &[f32], x: f64, y: f64) -> Option<f32> {
-    let height = values.len() / width;
-    if !(x >= 0.0 && y >= 0.0 && x < (width - 1) as f64 && y < (height - 1) as f64) {
-        return None;
-    }
-    let (i, j) = (x as usize, y as usize);
-    let (u, v) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let above = values.get(j * width + i..j * width + i + 2)?;
-    let below = values.get((j + 1) * width + i..(j + 1) * width + i + 2)?;
-    let top = above[0] + (above[1] - above[0]) * u;
-    let bottom = below[0] + (below[1] - below[0]) * u;
-    Some(top + (bottom - top) * v)
+    Some(Around::new(width, values, &Vector2::new(x, y))?.value() as f32)
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use wide::f32x8;
 
+use lsfb_perception::image::{Compression, Samples, write_png};
 use lsfb_types::{Image, Progress, ProgressFn};
 
 use crate::world::{LANES, RayPacket};
@@ -49,14 +50,10 @@ impl Picture {
             path: path.to_owned(),
             source,
         };
-        let file = File::create(path).map_err(failed)?;
-        let (width, height) = (self.width as u32, self.height as u32);
-        let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
-        encoder.set_color(png::ColorType::Grayscale);
-        encoder
-            .write_header()
-            .and_then(|mut writer| writer.write_image_data(&self.pixels))
-            .map_err(|e| failed(e.into()))
+        let file = BufWriter::new(File::create(path).map_err(failed)?);
+        let size = (self.width as u32, self.height as u32);
+        let samples = Samples::Grey(&self.pixels);
+        write_png(file, size, samples, Compression::default()).map_err(failed)
     }
 
     /// Puts an image, shrunk to a width, at a corner.

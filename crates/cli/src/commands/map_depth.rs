@@ -1,10 +1,12 @@
 //! `lsfb map depth`: what the LiDAR saw, as a camera elsewhere in the map would have measured it.
 
-use std::io::BufWriter;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_geometry::{Rig, Trajectory};
+use lsfb_perception::image::{Compression, Samples, write_png};
 use lsfb_pipeline::surface::{Surface, SurfaceConfig, View};
 use lsfb_recording::{Provenance, read_tum};
 use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
@@ -217,14 +219,8 @@ fn write_depths(path: &Path, view: &View) -> anyhow::Result<()> {
             0
         }
     });
-    let bytes: Vec<u8> = millimetres.flat_map(u16::to_be_bytes).collect();
-    write_png(
-        path,
-        view,
-        png::ColorType::Grayscale,
-        png::BitDepth::Sixteen,
-        &bytes,
-    )
+    let millimetres: Vec<u16> = millimetres.collect();
+    write_view(path, view, Samples::Grey16(&millimetres))
 }
 
 fn write_normals(path: &Path, view: &View) -> anyhow::Result<()> {
@@ -233,31 +229,15 @@ fn write_normals(path: &Path, view: &View) -> anyhow::Result<()> {
         known => known.map(|n| ((n + 1.0) * 127.5).round() as u8),
     });
     let bytes: Vec<u8> = pixels.collect();
-    write_png(
-        path,
-        view,
-        png::ColorType::Rgb,
-        png::BitDepth::Eight,
-        &bytes,
-    )
+    write_view(path, view, Samples::Rgb(&bytes))
 }
 
-fn write_png(
-    path: &Path,
-    view: &View,
-    color: png::ColorType,
-    depth: png::BitDepth,
-    bytes: &[u8],
-) -> anyhow::Result<()> {
-    let file = std::fs::File::create(path).with_context(|| path.display().to_string())?;
-    let mut encoder = png::Encoder::new(BufWriter::new(file), view.width, view.height);
-    encoder.set_color(color);
-    encoder.set_depth(depth);
-    let mut writer = encoder
-        .write_header()
-        .with_context(|| path.display().to_string())?;
-    writer
-        .write_image_data(bytes)
-        .and_then(|()| writer.finish())
-        .with_context(|| path.display().to_string())
+fn write_view(path: &Path, view: &View, samples: Samples<'_>) -> anyhow::Result<()> {
+    let written = || {
+        let mut file = BufWriter::new(File::create(path)?);
+        let size = (view.width, view.height);
+        write_png(&mut file, size, samples, Compression::default())?;
+        file.flush()
+    };
+    written().with_context(|| path.display().to_string())
 }

@@ -4,6 +4,8 @@ use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Vector2};
 use lsfb_types::Image;
 
+use super::Around;
+
 /// An image of real values with its camera.
 #[derive(Clone, Debug)]
 pub struct Gray {
@@ -109,37 +111,19 @@ impl Gray {
         Some(out)
     }
 
-    /// The four pixels around a place and how far it is between them; `None` outside.
-    fn around(&self, at: &Vector2<f64>) -> Option<([f64; 4], [f64; 2])> {
-        let (width, height) = (self.width(), self.height());
-        let inside =
-            at.x >= 0.0 && at.y >= 0.0 && at.x < width as f64 - 1.0 && at.y < height as f64 - 1.0;
-        if !inside {
-            return None;
-        }
-        let (i, j) = (at.x as usize, at.y as usize);
-        let pixels = [
-            self.at(i, j),
-            self.at(i + 1, j),
-            self.at(i, j + 1),
-            self.at(i + 1, j + 1),
-        ];
-        Some((pixels, [at.x - i as f64, at.y - j as f64]))
+    /// The pixels around a place; `None` outside.
+    fn around(&self, at: &Vector2<f64>) -> Option<Around> {
+        Around::new(self.width(), &self.values, at)
     }
 
     /// The value between pixels; `None` outside.
     pub fn value(&self, at: &Vector2<f64>) -> Option<f64> {
-        let ([a, b, c, d], [u, v]) = self.around(at)?;
-        let (top, bottom) = (a + (b - a) * u, c + (d - c) * u);
-        Some(top + (bottom - top) * v)
+        Some(self.around(at)?.value())
     }
 
     /// The gradient between pixels; `None` outside.
     pub fn gradient(&self, at: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let ([a, b, c, d], [u, v]) = self.around(at)?;
-        let (top, bottom) = (a + (b - a) * u, c + (d - c) * u);
-        let by_x = (b - a) * (1.0 - v) + (d - c) * v;
-        Some(Vector2::new(by_x, bottom - top))
+        Some(self.around(at)?.gradient())
     }
 }
 

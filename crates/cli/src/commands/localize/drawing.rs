@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use lsfb_geometry::{Rig, Vector2};
+use lsfb_perception::image::{Compression, Samples, write_png};
 use lsfb_pipeline::features::{FeatureDetector, Features};
 use lsfb_pipeline::localization::{FeatureMatch, Localizer};
 use lsfb_types::Image;
@@ -98,12 +99,13 @@ fn caption(frame: &Frame) -> String {
 
 fn encoded(image: &Image) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(&image.pixels)?;
-    writer.finish()?;
+    let size = (image.width, image.height);
+    write_png(
+        &mut bytes,
+        size,
+        Samples::Grey(&image.pixels),
+        Compression::default(),
+    )?;
     Ok(bytes)
 }
 

@@ -10,6 +10,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::Rig;
+use lsfb_perception::image::{Compression, Samples, write_png};
 use lsfb_recording::{Recording, message};
 use lsfb_types::{Image, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -328,12 +329,13 @@ impl Output<'_> {
         let image = self.hidden.hide(camera, image);
         let written = || -> Result<(), io::Error> {
             let mut file = BufWriter::new(File::create(&path)?);
-            let mut encoder = png::Encoder::new(&mut file, image.width, image.height);
-            encoder.set_color(png::ColorType::Grayscale);
-            encoder.set_compression(png::Compression::Fast);
-            let mut writer = encoder.write_header()?;
-            writer.write_image_data(&image.pixels)?;
-            writer.finish()?;
+            let size = (image.width, image.height);
+            write_png(
+                &mut file,
+                size,
+                Samples::Grey(&image.pixels),
+                Compression::Fast,
+            )?;
             file.flush()
         };
         written().map_err(|source| Error::Io { path, source })

@@ -1,7 +1,7 @@
 //! Solves a pose graph in g2o format and writes it again, its poses improved:
 //!
 //! ```sh
-//! cargo run --release -p lsfb-solver --example pose_graph -- sphere.g2o solved.g2o
+//! cargo run --release -p lsfb-problems --example pose_graph -- sphere.g2o solved.g2o
 //! ```
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]

@@ -2,7 +2,7 @@
 //! points were seen, though some were seen wrongly.
 //!
 //! ```sh
-//! cargo run --release -p lsfb-solver --example bundle_adjustment -- problem-16-22106-pre.txt
+//! cargo run --release -p lsfb-problems --example bundle_adjustment -- problem-16-22106-pre.txt
 //! ```
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
