@@ -15,6 +15,11 @@ impl BadArgument {
         Self(message.into())
     }
 
+    /// Settings that options alone make, refused as [`Self::of_option`] says it.
+    pub fn check(checked: Result<(), OutOfBounds>, named: &[(&str, &str)]) -> Result<(), Self> {
+        checked.map_err(|error| Self::of_option(&error, named))
+    }
+
     /// For settings that options alone make, which are called as the options are (`window_secs` is `--window-secs`) unless `named` has
     /// the setting with another option.
     pub fn of_option(error: &OutOfBounds, named: &[(&str, &str)]) -> Self {

@@ -32,7 +32,7 @@ pub fn expect_own_folder(folder: &Path, result: &Path, made_by: &str) -> anyhow:
     let is_own = beside.is_some_and(|made| made.config.get(made_by).is_some());
     anyhow::ensure!(
         is_own || expect_free_folder(folder, false).is_ok(),
-        "{}: is not known to be an export of `lsfb {made_by}`, so it is not replaced: remove it, or choose another name",
+        "{}: is not known to be written by `lsfb {made_by}`, so it is not replaced: remove it, or choose another name",
         folder.display()
     );
     Ok(())

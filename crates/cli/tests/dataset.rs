@@ -301,7 +301,7 @@ fn exports(root: &Path) {
     assert!(!root.join("twice/mav0").exists(), "of the export before");
     // What is no export is not thrown away.
     let others = again.replace("--out twice", "--out ds/query --force");
-    assert!(said(root, &others).contains("is not known to be an export"));
+    assert!(said(root, &others).contains("is not known to be written by"));
     assert!(root.join("ds/query/C3-glasses/walk.mcap").exists());
 
     run(

@@ -59,7 +59,9 @@ impl Provenance {
             .unwrap_or(path.as_os_str())
             .to_string_lossy()
             .into_owned();
-        let is_read_once = path.metadata().is_ok_and(|found| !found.is_file());
+        let is_read_once = path
+            .metadata()
+            .is_ok_and(|found| !found.is_file() && !found.is_dir());
         let sha256 = match is_read_once {
             true => READ_ONCE.to_owned(),
             false => sha256_of(path)?,

@@ -50,8 +50,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(secs) = arguments.window_secs {
         config.window_secs = secs;
     }
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
+    BadArgument::check(config.check_bounds(""), &[])?;
     let page = arguments
         .out
         .clone()

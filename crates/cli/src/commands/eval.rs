@@ -96,8 +96,7 @@ pub struct Arguments {
 /// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config = config(arguments);
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
+    BadArgument::check(config.check_bounds(""), &[])?;
     if let Some(page) = &arguments.out {
         context.claim(page, &[&arguments.estimate, &arguments.truth])?;
     }

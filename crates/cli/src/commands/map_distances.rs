@@ -225,8 +225,7 @@ pub fn distances(arguments: &DistancesArguments, context: &Context) -> anyhow::R
     let config = MarkConfig {
         click_sigma_px: arguments.click_sigma_px,
     };
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
+    BadArgument::check(config.check_bounds(""), &[])?;
     let mut read: Vec<&Path> = vec![&arguments.marks];
     read.extend(arguments.survey.as_deref());
     read.extend(arguments.trajectory.as_deref());

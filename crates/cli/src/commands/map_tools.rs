@@ -369,8 +369,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
         max: arguments.max_m,
     };
     let named = [("min", "--min-m"), ("max", "--max-m")];
-    let checked = region.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
+    BadArgument::check(region.check_bounds(""), &named)?;
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
     let part = map.crop(&region, &IndexConfig::default(), &|p| context.show(p))?;

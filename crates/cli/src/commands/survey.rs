@@ -155,8 +155,7 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         ("spread_m", "--rest-spread-m"),
         ("least_secs", "--rest-secs"),
     ];
-    let checked = config.check_bounds("").and(reach);
-    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
+    BadArgument::check(config.check_bounds("").and(reach), &named)?;
     let survey = read_survey(&arguments.survey)?;
     let mut findings = Vec::new();
     let mut solved = None;

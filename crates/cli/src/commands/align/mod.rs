@@ -97,8 +97,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         },
     };
     let named = [("offset_guess_secs", "--offset-secs")];
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &named))?;
+    BadArgument::check(config.check_bounds(""), &named)?;
     let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
     let Some(input) = inputs.into_iter().flatten().next() else {
         anyhow::bail!("give a trajectory, or IMU data with --imu");

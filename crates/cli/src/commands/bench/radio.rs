@@ -37,8 +37,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         neighbours: arguments.neighbours,
         ..NeighbourConfig::default()
     };
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
+    BadArgument::check(config.check_bounds(""), &[])?;
     let mut walks = Vec::new();
     for (i, path) in arguments.walks.iter().enumerate() {
         let same = arguments.walks[..i]

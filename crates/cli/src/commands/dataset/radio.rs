@@ -74,8 +74,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         place_sigma_m: arguments.place_sigma_m,
         ..PlacingConfig::default()
     };
-    let checked = config.check_bounds("");
-    checked.map_err(|error| BadArgument::of_option(&error, &[]))?;
+    BadArgument::check(config.check_bounds(""), &[])?;
     let recording = context.open(&arguments.recording)?;
     let known = match &arguments.trajectory {
         Some(path) => of_trajectory(path, context)?,
